@@ -1,7 +1,7 @@
-"""One rigid body in its equivalent formulations, and the laws behind them.
+"""The motion of one rigid body in equivalent formulations, and mechanics of particles.
 
-`formulations()` has them all with one signature. `lagrange` takes your own energies, `particles`
-takes ideal constraints, `relative_motion` takes moving frames.
+`formulations()` returns all formulations, with one signature. `lagrange` derives equations of
+motion from energies, `particles` from ideal constraints, `relative_motion` in moving frames.
 """
 
 from rbjax.body import lagrange, particles, relative_motion, virtual_work

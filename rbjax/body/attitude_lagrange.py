@@ -1,18 +1,18 @@
 """One rigid body by Lagrange's equations in a minimal attitude, and in quasi-velocities.
 
-Direct: q = (p, x) with three attitude parameters x, and T(q, q') of the twist
+`Lagrange`: q = (p, x) with three attitude parameters x, and kinetic energy T(q, q') of the twist
 
     V = A(q) q' = (E_b(x) x', R(x)^T p')
 
-M, C and g come by differentiation (`lagrange`). Where E_b is singular, so is M.
+M, C and g are computed by differentiation (`lagrange`). If E_b is singular, M is singular.
 
-Quasi-Lagrangian: the velocities are nu = A(q) q' with q' = B(q) nu, here the body twist, and
+`QuasiLagrange`: the velocities are nu = A(q) q', which is the body twist, with q' = B(q) nu.
 Boltzmann's and Hamel's equations (Olguin Diaz, ch. 7; Hamel, 1904)
 
     d/dt dT/dnu + B^T (A'^T - (d(A q')/dq)^T) dT/dnu - B^T dT/dq = B^T Q
 
-hold for redundant attitudes too, because B^T removes their constraint forces. With a quaternion
-they are never singular.
+hold for redundant attitudes too, because B^T removes their constraint forces. They are never
+singular with a quaternion.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import se3
 
-#: closer than this (rad) to a singularity the equations have no correct digits
+#: the distance (rad) from a singularity below which the equations have no correct digits
 SINGULAR = 1e-8
 
 
 class _InCoordinates(Formulation):
-    """q = (p, x), with x in any representation."""
+    """A formulation in coordinates q = (p, x), with the attitude x in any representation."""
 
     def pose(self, body: Body, y: State) -> jax.Array:
         return self._pose(y.q)
@@ -54,18 +54,18 @@ class _InCoordinates(Formulation):
         return jnp.concatenate([T[:3, 3], self.attitude.from_matrix(T[:3, :3])])
 
     def _twist(self, q: jax.Array, qd: jax.Array) -> jax.Array:
-        """A(q) q'."""
+        """Compute the body twist A(q) q'."""
         omega = matvec(self.attitude.body_rate_matrix(q[3:]), qd[3:])
         return jnp.concatenate([omega, matvec(self.attitude.to_matrix(q[3:]).T, qd[:3])])
 
     def _rates(self, q: jax.Array, V: jax.Array) -> jax.Array:
-        """B(q) V."""
+        """Compute the rates q' = B(q) V."""
         turning = matvec(self.attitude.inverse_body_rate_matrix(q[3:]), V[:3])
         return jnp.concatenate([matvec(self.attitude.to_matrix(q[3:]), V[3:]), turning])
 
 
 class Lagrange(_InCoordinates):
-    """Direct, in one of the representations with three numbers; v is q'."""
+    """Lagrange's equations in a representation of attitude with three parameters; v is q'."""
 
     def __init__(self, attitude: str):
         super().__init__(attitude)
@@ -76,8 +76,10 @@ class Lagrange(_InCoordinates):
             )
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
-        """Raises `InputError` at a singularity, where values are known. Traced code gives very
-        large rates there, and `singularity_distance` 0."""
+        """Return the state of a body with pose T (4, 4) and body twist V (6,).
+
+        At a singularity, raise `InputError`, or return very large rates if T is traced.
+        """
         q = self._coordinates(T)
         distance = self.attitude.singularity_distance(q[3:])
         if not isinstance(distance, jax.core.Tracer) and distance < SINGULAR:
@@ -98,7 +100,7 @@ class Lagrange(_InCoordinates):
         return self._twist(y.q, y.v)
 
     def system(self, args: Situation) -> lagrange.System:
-        """T and V in these coordinates: `lagrange.mass_matrix(f.system(args), q)` and so on."""
+        """Return the kinetic and potential energy in q, for functions of `lagrange`."""
         body = args[0]
         return lagrange.System(
             lambda q, qd: kinetic_energy(body, self._twist(q, qd)),
@@ -107,7 +109,7 @@ class Lagrange(_InCoordinates):
 
 
 class QuasiLagrange(_InCoordinates):
-    """Quasi-Lagrangian, in any representation; v is the body twist."""
+    """Quasi-Lagrangian equations in any representation of attitude; v is the body twist."""
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         return State(self._coordinates(T), V)
@@ -138,9 +140,13 @@ def hamel_acceleration(
     nu: jax.Array,
     N: jax.Array,
 ) -> jax.Array:
-    """nu' (m,) of quasi-velocities nu = A(q) q' (`velocities`), q' = B(q) nu (`rates`).
+    """Compute the rates nu' (m,) of quasi-velocities by Hamel's equations.
 
-    `kinetic` is T(q, nu). N = B^T Q (m,) are the forces with the power N . nu.
+    Args:
+        kinetic: the kinetic energy T(q, nu).
+        velocities: the function (q, q') -> nu = A(q) q'.
+        rates: the function (q, nu) -> q' = B(q) nu.
+        N: (m,) forces B^T Q, whose power is N . nu.
 
     >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
     ...     lambda q, nu: nu @ nu / 2,
@@ -155,7 +161,7 @@ def hamel_acceleration(
     _, carried = jax.vjp(lambda q: velocities(q, qd), q)
 
     def momentum(q: jax.Array) -> jax.Array:
-        """A^T p, the momentum of q', with p held constant."""
+        """Compute A^T p, the momentum conjugate to q', with p held constant."""
         return jax.vjp(lambda qd: velocities(q, qd), qd)[1](p)[0]
 
     _, swept = jax.jvp(momentum, (q,), (qd,))

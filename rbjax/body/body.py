@@ -25,7 +25,7 @@ from rbjax.spatial import MassProperties
 
 
 def unbatched(where: str, name: str, value: Any, kind: str) -> jax.Array:
-    """Check an argument without leading axes, of a kind of `rbjax.rotations.arguments.SHAPES`."""
+    """Check an argument of a kind of `rotations.arguments.SHAPES`, without leading axes."""
     x = checked(where, name, value, kind)
     if x.shape != SHAPES[kind]:
         expected = f"{SHAPES[kind]}; for a batch use jax.vmap"
@@ -34,7 +34,7 @@ def unbatched(where: str, name: str, value: Any, kind: str) -> jax.Array:
 
 
 def coordinate_vector(where: str, name: str, value: Any) -> jax.Array:
-    """Check an argument of shape (n,), such as coordinates."""
+    """Check that an argument is a nonempty vector (n,), such as coordinates."""
     x = checked(where, name, value, "scalar")
     if x.ndim != 1 or not x.size:
         expected = "(n,), n at least 1; for a batch use jax.vmap"
@@ -46,10 +46,11 @@ Force = Callable[[Any, "Body", jax.Array, jax.Array], jax.Array]
 
 
 class Body(NamedTuple):
-    """mass, com (3,) in the body's frame, inertia (3, 3) about com. The mass properties of a shape
-    fit: `Body(*shapes.box([1, 2, 3], mass=5.0))`.
+    """Mass, center of mass and inertia of a body, such as `Body(*shapes.box([1, 2, 3], mass=5.0))`.
 
-    `added_mass` (6, 6), at the frame's origin, is that of the fluid at rest around the body.
+    com: (3,) in the body's frame, m.
+    inertia: (3, 3) about the com, kg m^2.
+    added_mass: (6, 6) of the fluid at rest around the body, at the frame's origin, or None.
     """
 
     mass: jax.Array
@@ -59,7 +60,7 @@ class Body(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """A body and the forces on it: diffrax's `args` of every formulation."""
+    """A body and the forces on it, the `args` of every formulation in diffrax."""
 
     body: Body
     forces: tuple[Force, ...] = ()
@@ -70,7 +71,7 @@ def rigid_body(
     forces: Sequence[Force] = (),
     added_mass: jax.Array | None = None,
 ) -> Situation:
-    """A body with these mass properties, after a check, under these forces.
+    """Check mass properties, and return a body with these properties and the forces on it.
 
     Raises:
         InputError: no body can have this inertia; a force that cannot be called.
@@ -97,7 +98,7 @@ def rigid_body(
 
 
 def inertia_matrix(body: Body) -> jax.Array:
-    """The inertia matrix M (6, 6) at the frame's origin, with added mass: T = V . M V / 2."""
+    """Compute the inertia matrix M (6, 6) at the frame's origin, including added mass."""
     if not isinstance(body, Body):
         raise InputError(
             f"inertia_matrix: body is {type(body).__name__}, expected Body; rigid_body(...).body "
@@ -108,7 +109,7 @@ def inertia_matrix(body: Body) -> jax.Array:
 
 
 def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
-    """The sum (6,) of all forces, at the frame's origin in body axes."""
+    """Sum all forces to a wrench (6,) at the frame's origin in body axes."""
     body, forces = _parts("total_wrench", situation)
     T, V = unbatched("total_wrench", "T", T, "pose"), unbatched("total_wrench", "V", V, "twist")
     return sum((f(t, body, T, V).astype(V.dtype) for f in forces), start=jnp.zeros_like(V))
@@ -125,7 +126,7 @@ def _parts(where: str, situation: Any) -> tuple[Body, tuple[Force, ...]]:
 
 
 def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
-    """The forces that have a potential, and the situation with only the others."""
+    """Return the forces that have a potential, and a situation with all remaining forces."""
     body, forces = situation
     conservative = tuple(f for f in forces if hasattr(f, "potential"))
     rest = tuple(f for f in forces if not hasattr(f, "potential"))
@@ -133,7 +134,7 @@ def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
 
 
 def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
-    """The potential energy of all forces that have a potential."""
+    """Compute the potential energy of all forces that have a potential."""
     body, forces = _parts("potential_energy", situation)
     T = unbatched("potential_energy", "T", T, "pose")
     conservative, _ = split(Situation(body, forces))
@@ -142,7 +143,7 @@ def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
 
 
 def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
-    """The kinetic energy V . M V / 2, added mass included.
+    """Compute the kinetic energy V . M V / 2, including added mass.
 
     >>> body = rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body
     >>> float(kinetic_energy(body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
@@ -158,18 +159,18 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 @takes(positive=["semi_axes", "density"], semi_axes="vector", density="scalar")
 def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
-    """The added mass A (..., 6, 6) of an ellipsoid about its centre (Lamb, 114-115, 121a).
+    """Compute the added mass A (..., 6, 6) of an ellipsoid at its center (Lamb, 114-115, 121a).
 
         alpha_i = abc int_0^inf dl / ((a_i^2 + l) D),    D^2 = prod (a_j^2 + l)
 
-    gives m alpha / (2 - alpha) along the axes, with m the mass of the displaced fluid. A ball has
-    m / 2. Digits are lost if the axes differ by a factor of tens.
+    The translational added mass along axis i is m alpha_i / (2 - alpha_i), with m the mass of the
+    displaced fluid: m / 2 for a ball. Digits are lost if the axes differ by a factor of tens.
 
     >>> ellipsoid_added_mass([1.0, 1.0, 1.0], 3 / (2 * jnp.pi)).diagonal().round(5).tolist()
     [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
     """
     a2, product = semi_axes * semi_axes, jnp.prod(semi_axes, axis=-1)
-    # l = s^2 tan^2 u with the mean radius s: smooth for u in (0, pi/2)
+    # substitute l = s^2 tan^2 u with the mean radius s: the integrand is smooth in u in (0, pi/2)
     u = jnp.asarray((NODES + 1) * np.pi / 4, a2.dtype)
     weights = jnp.asarray(WEIGHTS * np.pi / 4, a2.dtype)
     s2 = product[..., None] ** (2 / 3)

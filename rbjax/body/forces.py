@@ -1,7 +1,8 @@
 """Forces on a body: gravity, buoyancy, drag, springs.
 
-Each is a pytree of its numbers, and a function (t, body, T, V) -> wrench (6,) at the origin of the
-body's frame, in body axes (`rigid_body`). A force with a `potential` is minus its gradient.
+A force is a pytree of its parameters, and a function (t, body, T, V) -> wrench (6,) at the origin
+of the body's frame, in body axes (`rigid_body`). A force with a `potential` is minus the gradient
+of the potential.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from rbjax.rotations.coefficients import length
 
 
 def _as_array(value: Any) -> Any:
-    """The converter of a field. A value that is not an array stays, and `Force` rejects it."""
+    """Convert a field to an array, or return a value that cannot be converted unchanged."""
     try:
         return jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
@@ -28,12 +29,12 @@ def _as_array(value: Any) -> Any:
 
 
 def field(kind: str, **options: Any) -> Any:
-    """A field of a `Force`: an array of a kind of `rbjax.rotations.arguments.SHAPES`."""
+    """Declare a field of a `Force`: an array of a kind of `rbjax.rotations.arguments.SHAPES`."""
     return eqx.field(converter=_as_array, metadata={"kind": kind}, **options)
 
 
 class Force(eqx.Module):
-    """A force with fields made by `field`, which are checked."""
+    """The base class of forces. It checks the fields that `field` declares."""
 
     def __check_init__(self) -> None:
         for name, of in self.__dataclass_fields__.items():
@@ -41,17 +42,17 @@ class Force(eqx.Module):
 
 
 def _at(T: jax.Array, point: jax.Array) -> jax.Array:
-    """The world position of a point of the body."""
+    """Compute the world position of a point of the body."""
     return T[:3, 3] + matvec(T[:3, :3], point)
 
 
 def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
-    """The wrench of a force (3,) in world axes at a point of the body."""
+    """Compute the wrench of a force (3,) in world axes at a point of the body."""
     return spatial.force_at(matvec(T[:3, :3].T, f), point)
 
 
 class UniformGravity(Force):
-    """The same acceleration (3,) everywhere, in m/s^2."""
+    """Gravity with a uniform acceleration (3,) in world axes, m/s^2."""
 
     acceleration: jax.Array = field("vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81]))
 
@@ -63,10 +64,10 @@ class UniformGravity(Force):
 
 
 class CentralGravity(Force):
-    """Attraction by a point mass at `centre` (3,), mu = G M in m^3/s^2, to second order in size.
+    """Gravity of a point mass at `centre` (3,) with mu = G M, m^3/s^2, to second order in size.
 
-    MacCullagh: V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3), with n from the centre to com.
-    The torque is 3 mu n x I_c n / r^3.
+    V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3)  (MacCullagh), with n the direction from the
+    center to the com. The torque about the com is 3 mu n x I_c n / r^3.
     """
 
     mu: jax.Array = field("scalar")
@@ -91,9 +92,7 @@ class CentralGravity(Force):
 
 
 class Buoyancy(Force):
-    """Archimedes: minus the weight of the fluid of `density` in a fully immersed `volume`, at the
-    centre (3,) of the volume in the body.
-    """
+    """Buoyancy of a fully immersed `volume` with its center at `centre` (3,) in the body."""
 
     density: jax.Array = field("scalar")
     volume: jax.Array = field("scalar")
@@ -108,8 +107,10 @@ class Buoyancy(Force):
 
 
 class LinearDrag(Force):
-    """Linear drag -D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in
-    the world."""
+    """Linear drag -D (V - V_fluid), with D (6, 6) at the frame's origin in body axes.
+
+    `stream` (3,) is the velocity of the fluid in world axes, m/s.
+    """
 
     coefficients: jax.Array = field("matrix6")
     stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -119,7 +120,10 @@ class LinearDrag(Force):
 
 
 class QuadraticDrag(Force):
-    """Quadratic drag -d_i |V_i| V_i for each of the six, d (6,); d = rho C_D A / 2 of a face."""
+    """Quadratic drag -d_i |V_i| V_i for each component of the twist relative to the fluid.
+
+    d (6,) is rho C_D A / 2 for a face of area A. `stream` (3,) is the fluid velocity in the world.
+    """
 
     coefficients: jax.Array = field("twist")
     stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -130,7 +134,7 @@ class QuadraticDrag(Force):
 
 
 class Spring(Force):
-    """A spring from a world point (`anchor`) to a body point: k (l - l_0) along the line."""
+    """A spring between a world point (`anchor`) and a body point, with the force k (l - l_0)."""
 
     stiffness: jax.Array = field("scalar")
     anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -140,7 +144,7 @@ class Spring(Force):
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
         l = length((d * d).sum())
-        # a line of length zero has no direction: its spring gives no force, not a nan
+        # a spring of length zero has no direction and exerts no force
         pull = 1 - self.rest_length / jnp.where(l > 0, l, jnp.inf)
         return _world_force(T, -self.stiffness * pull * d, self.point)
 
@@ -150,7 +154,7 @@ class Spring(Force):
 
 
 class Damper(Force):
-    """A damper between two such points: -c times the rate of their distance, along the line."""
+    """A damper between a world point (`anchor`) and a body point, with the force -c dl/dt."""
 
     damping: jax.Array = field("scalar")
     anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -165,5 +169,5 @@ class Damper(Force):
 
 
 def _through(T: jax.Array, V: jax.Array, stream: jax.Array) -> jax.Array:
-    """The twist relative to a fluid that streams without rotation."""
+    """Compute the twist relative to a fluid with the uniform velocity `stream` in the world."""
     return V - jnp.concatenate([jnp.zeros_like(stream), matvec(T[:3, :3].T, stream)])

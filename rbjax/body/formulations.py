@@ -1,12 +1,12 @@
 """The motion of one rigid body by the equations of Newton-Euler, Kirchhoff and Featherstone.
 
-All formulations have one signature, so they are interchangeable:
+All formulations have one interface:
 
-    y0 = f.initial(body, T, V)         from pose and body twist to the state of the formulation
+    y0 = f.initial(body, T, V)         the state from pose and body twist
     f.rate(t, y, (body, forces))       the vector field: `diffrax.ODETerm(f.rate)` is `f.term()`
-    f.pose(body, y), f.twist(body, y)  and back
+    f.pose(body, y), f.twist(body, y)  pose and body twist from the state
 
-A state is (q, v): q = [position (3), attitude], v the formulation's own velocities or momenta.
+A state is (q, v) with q = [position (3), attitude]. v is velocities or momenta.
 (Olguin Diaz, ch. 6-7; Lamb, *Hydrodynamics*, 124; Featherstone, 2.14-15.)
 """
 
@@ -28,40 +28,40 @@ from rbjax.rotations.representation import Representation, find
 
 
 class State(NamedTuple):
-    """q (3 + size of the attitude), v (6,)."""
+    """A state: coordinates q (3 + size of the attitude), velocities or momenta v (6,)."""
 
     q: jax.Array
     v: jax.Array
 
 
 class Formulation(abc.ABC):
-    """The motion of one rigid body, in its own coordinates and velocities."""
+    """Equations of motion of one rigid body, in coordinates and velocities of a formulation."""
 
     def __init__(self, attitude: str):
         self.attitude: Representation = find(attitude)
 
     @abc.abstractmethod
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
-        """The state of a body with pose T (4, 4) and body twist V (6,)."""
+        """Return the state of a body with pose T (4, 4) and body twist V (6,)."""
 
     @abc.abstractmethod
     def rate(self, t: Any, y: State, args: Situation) -> State:
-        """The rate of the state under the forces."""
+        """Compute the rate of the state under the forces."""
 
     @abc.abstractmethod
     def pose(self, body: Body, y: State) -> jax.Array:
-        """T (4, 4) of the body's frame."""
+        """Return the pose T (4, 4) of the body's frame."""
 
     @abc.abstractmethod
     def twist(self, body: Body, y: State) -> jax.Array:
-        """V (6,) = (omega, v) of the body's frame, in its axes."""
+        """Return the body twist V = (omega, v) (6,) of the body's frame."""
 
     def term(self) -> diffrax.ODETerm:
-        """The term for diffrax, with (body, forces) as args."""
+        """Return the term for diffrax, with (body, forces) as args."""
         return diffrax.ODETerm(self.rate)
 
     def singularity_distance(self, y: State) -> jax.Array:
-        """The angle to the nearest singularity of the equations; inf if there is none."""
+        """Return the angle to the nearest singularity of the equations, or inf if none exists."""
         return self.attitude.singularity_distance(y.q[3:])
 
     def __repr__(self) -> str:
@@ -69,7 +69,7 @@ class Formulation(abc.ABC):
 
 
 class _QuaternionState(Formulation):
-    """Attitude as a quaternion. Its rate is linear in it, so its length has no effect."""
+    """A formulation with the attitude as a quaternion, whose length has no effect."""
 
     def __init__(self) -> None:
         super().__init__("unit_quaternion")
@@ -82,36 +82,36 @@ class _QuaternionState(Formulation):
 
 
 def _attitude(q: jax.Array) -> jax.Array:
-    """R of the quaternion in q."""
+    """Return the rotation R of the quaternion in q."""
     return quaternion.to_matrix(q[3:])
 
 
 def _pose(q: jax.Array) -> jax.Array:
-    """T of [position, quaternion]."""
+    """Return the pose T from q = [position, quaternion]."""
     return se3.pose(_attitude(q), q[:3])
 
 
 def _coordinates(T: jax.Array) -> jax.Array:
-    """[position, quaternion] of T."""
+    """Return q = [position, quaternion] of a pose T."""
     return jnp.concatenate([T[:3, 3], quaternion.from_matrix(T[:3, :3])])
 
 
 def _coordinate_rate(q: jax.Array, v: jax.Array, omega: jax.Array) -> jax.Array:
-    """[v, q (0, omega) / 2], with v in world axes and omega in body axes."""
+    """Return q' = [v, q (0, omega) / 2], with v in world axes and omega in body axes."""
     rate = quaternion.multiply(q[3:], jnp.concatenate([jnp.zeros(1, q.dtype), omega])) / 2
     return jnp.concatenate([v, rate])
 
 
 class NewtonEuler(_QuaternionState):
-    """Newton-Euler equations about `point` (3,) in the body's frame; None: the centre of mass.
+    """Newton-Euler equations about a point P of the body, by default the center of mass.
 
-    With c from the point P to the centre of mass and a the acceleration of P, all in body axes:
+    `point` (3,) is P in the body's frame. With c the vector from P to the center of mass and a the
+    acceleration of P, all in body axes:
 
         m (a + omega' x c + omega x (omega x c)) = f
         I_P omega' + omega x I_P omega + m c x a = n_P
 
-    The velocities are omega in body axes and v of P in world axes, so that the centre of mass of a
-    free body moves at a constant v.
+    The state has omega in body axes and the velocity v of P in world axes.
     """
 
     def __init__(self, point: Any = None):
@@ -165,9 +165,9 @@ class NewtonEuler(_QuaternionState):
         return body.com if self.point is None else jnp.asarray(self.point, body.com.dtype)
 
     def _fluid(self, body: Body, V: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Added mass A at P, and the wrench A (V' - (alpha, a)) + V x* A V that goes with it.
+        """Return the added mass A at P, and the wrench A (V' - (alpha, a)) + V x* A V.
 
-        a is the acceleration of a point, v' + omega x v, but the fluid's momentum changes with v'.
+        The wrench is a correction: a = v' + omega x v, but the fluid's momentum changes with v'.
         """
         shift = se3.pose(jnp.eye(3, dtype=V.dtype), -self._point(body))
         A = spatial.transform_inertia(shift, body.added_mass)
@@ -176,12 +176,12 @@ class NewtonEuler(_QuaternionState):
 
 
 class Kirchhoff(_QuaternionState):
-    """Kirchhoff's equations, from the kinetic energy T(omega, v) in body axes by differentiation:
+    """Kirchhoff's equations, from the kinetic energy T(omega, v) in body axes.
 
         d/dt dT/d omega + omega x dT/d omega + v x dT/d v = n
         d/dt dT/d v     + omega x dT/d v                  = f
 
-    v is the body twist.
+    The derivatives of T are computed with JAX. v of the state is the body twist.
     """
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
@@ -206,15 +206,17 @@ class Kirchhoff(_QuaternionState):
 
 
 class _Spatial(_QuaternionState):
-    """The equation F = I A + V x* I V in the body's frame, or in world axes about a point `about`
-    (3,) that is fixed in space."""
+    """The spatial equation F = I A + V x* I V, in the body's frame or in a fixed frame.
+
+    The fixed frame has world axes and its origin at `about` (3,). None is the body's frame.
+    """
 
     def __init__(self, about: Any = None):
         super().__init__()
         self.about = None if about is None else np.asarray(about, float)
 
     def _frame(self, q: jax.Array) -> jax.Array:
-        """The pose of the body in the frame of the equation."""
+        """Return the pose of the body in the frame of the equation."""
         if self.about is None:
             return se3.identity(q.dtype)
         return _pose(q).at[:3, 3].add(-jnp.asarray(self.about, q.dtype))
@@ -233,7 +235,7 @@ class _Spatial(_QuaternionState):
 
 
 class Spatial(_Spatial):
-    """The spatial equation of motion with the twist as v: I A = F - V x* I V."""
+    """The spatial equation of motion I A = F - V x* I V, with v the twist V."""
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         q = _coordinates(T)
@@ -251,7 +253,7 @@ class Spatial(_Spatial):
 
 
 class Momentum(_Spatial):
-    """The same with the momentum h = I V as v: h' = F in space, h' = F - V x* h in the body."""
+    """The spatial equation h' = F (fixed frame) or h' = F - V x* h (body), with v = h = I V."""
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         q = _coordinates(T)

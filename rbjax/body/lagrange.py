@@ -2,13 +2,13 @@
 
     d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
 
-with kinetic energy T(q, q'), potential V(q), dissipation function D(q, q') and generalized forces Q
-(n,), all by differentiation. If T = q' . M(q) q' / 2 this is
+T(q, q') is the kinetic energy, V(q) the potential, D(q, q') the dissipation function and Q (n,) the
+generalized forces. Derivatives are computed with JAX. If T = q' . M(q) q' / 2 this is
 
     M(q) q'' + C(q, q') q' + g(q) + dD/dq' = Q
 
-with C from Christoffel's symbols, so that M' - 2C is skew-symmetric. `acceleration` takes any T,
-also with terms linear in q' (gyroscopic) or of order zero.
+with C from Christoffel symbols, so that M' - 2C is skew-symmetric. `acceleration` accepts any T,
+also with terms of order one (gyroscopic) or zero in q'.
 
     >>> cart = System(lambda q, v: v @ v, lambda q: 8 * q @ q)
     >>> acceleration(cart, jnp.array([1.0]), jnp.array([0.0])).tolist()
@@ -36,7 +36,7 @@ def _nothing(*_: Any) -> Any:
 
 
 class System(NamedTuple):
-    """T(q, v), V(q), D(q, v): each gives a scalar."""
+    """The functions T(q, v), V(q) and D(q, v) of a system, which return scalars."""
 
     kinetic: Energy
     potential: Energy = _nothing
@@ -44,7 +44,7 @@ class System(NamedTuple):
 
 
 def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax.Array:
-    """The mass matrix (n, n) d^2 T / dq'^2, by default at q' = 0.
+    """Compute the mass matrix (n, n) d^2 T / dq'^2, by default at q' = 0.
 
     >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
     [[10.0]]
@@ -55,14 +55,17 @@ def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax
 
 
 def christoffel_symbols(system: System, q: jax.Array) -> jax.Array:
-    """Gamma (n, n, n) of the first kind: Gamma_ijk = (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) / 2."""
+    """Compute the Christoffel symbols (n, n, n) of the first kind.
+
+    Gamma_ijk = (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) / 2
+    """
     q = _position("christoffel_symbols", system, q)
     dM = jax.jacfwd(lambda q: mass_matrix(system, q))(q)
     return (dM + dM.transpose(0, 2, 1) - dM.transpose(2, 0, 1)) / 2
 
 
 def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The Coriolis matrix C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
+    """Compute the Coriolis matrix C = Gamma . q' (n, n), with M' - 2C skew-symmetric.
 
     >>> M = System(lambda q, v: (1 + q[0] ** 2) * v @ v)
     >>> coriolis_matrix(M, jnp.array([2.0]), jnp.array([3.0])).tolist()
@@ -73,19 +76,19 @@ def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def gravity_forces(system: System, q: jax.Array) -> jax.Array:
-    """The gravity forces dV/dq (n,)."""
+    """Compute the gravity forces dV/dq (n,)."""
     q = _position("gravity_forces", system, q)
     return jax.grad(_scalar(system.potential))(q)
 
 
 def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The damping forces dD/dq' (n,)."""
+    """Compute the damping forces dD/dq' (n,)."""
     q, v = _state("damping_forces", system, q, v)
     return jax.grad(_scalar(system.dissipation), 1)(q, v)
 
 
 def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The forces at q'' = 0: (d p/dq) q' - dT/dq + dV/dq + dD/dq', with p = dT/dq'."""
+    """Compute the forces at q'' = 0: (dp/dq) q' - dT/dq + dV/dq + dD/dq', with p = dT/dq'."""
     q, v = _state("bias_forces", system, q, v)
     T = _scalar(system.kinetic)
     _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
@@ -96,7 +99,7 @@ def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 def acceleration(
     system: System, q: jax.Array, v: jax.Array, Q: jax.Array | float = 0.0
 ) -> jax.Array:
-    """The acceleration q'' (n,) under generalized forces Q (n,)."""
+    """Compute the acceleration q'' (n,) under generalized forces Q (n,)."""
     q, v = _state("acceleration", system, q, v)
     if not isinstance(Q, (int, float)):
         Q = checked("acceleration", "Q", Q, "scalar")
@@ -105,21 +108,21 @@ def acceleration(
 
 
 def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """The generalized forces Q (n,) that give the acceleration a (n,): inverse dynamics."""
+    """Compute the generalized forces Q (n,) for the acceleration a (n,): inverse dynamics."""
     q, v = _state("generalized_forces", system, q, v)
     a = _like("generalized_forces", "a", a, q)
     return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)
 
 
 def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """dT/dq' . q' - T + V, which is T + V if T is quadratic. It is constant if Q and D are zero."""
+    """Compute the energy dT/dq' . q' - T + V, which is constant if Q and D are zero."""
     q, v = _state("energy", system, q, v)
     T = _scalar(system.kinetic)
     return jax.grad(T, 1)(q, v) @ v - T(q, v) + _scalar(system.potential)(q)
 
 
 def term(system: System) -> diffrax.ODETerm:
-    """The term for diffrax, y = (q, v); args: forces (n,), a function (t, q, v), or None."""
+    """Return the term for diffrax with y = (q, v), and args = Q: (n,), f(t, q, v), or None."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         q, v = y
@@ -130,7 +133,7 @@ def term(system: System) -> diffrax.ODETerm:
 
 
 def _scalar(energy: Energy) -> Energy:
-    """The energy as an array of shape (), of the coordinates' dtype."""
+    """Convert the result of an energy to an array of shape () with the dtype of q."""
 
     def value(q: jax.Array, *v: jax.Array) -> jax.Array:
         x = jnp.asarray(energy(q, *v), q.dtype)
@@ -156,7 +159,7 @@ def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Arra
 
 
 def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
-    """Check an array of the shape of q."""
+    """Check that an argument is an array with the shape of q."""
     x = coordinate_vector(where, name, value)
     if x.shape != q.shape:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")

@@ -1,7 +1,7 @@
-"""Many particles under ideal constraints, by D'Alembert and Lagrange (Olguin Diaz, ch. 7).
+"""Particles under ideal constraints, by the principle of D'Alembert (Olguin Diaz, ch. 7).
 
-The reactions of ideal constraints phi(t, x) = 0 do no work in a virtual displacement, so they are
-combinations of the constraints' gradients:
+The reactions of ideal constraints phi(t, x) = 0 do no work in a virtual displacement. They are
+therefore linear combinations of the gradients of the constraints:
 
     m_i x_i'' = f_i + Phi_i^T lambda,    Phi = d phi / dx,    Phi x'' = -gamma
 
@@ -26,10 +26,10 @@ Constraint = Callable[[Any, jax.Array], jax.Array]
 
 
 class ConstrainedMotion(NamedTuple):
-    """x'' (n, d), multipliers (m,), reactions (n, d).
+    """Acceleration x'' (n, d), multipliers (m,) and reactions (n, d) of constrained particles.
 
-    `margin` is the smallest over the largest eigenvalue of Phi M^-1 Phi^T. Near 0 the constraints
-    repeat or contradict each other, and the multipliers have no meaning.
+    `margin` is the smallest eigenvalue of Phi M^-1 Phi^T divided by the largest. If it is near 0,
+    the constraints are linearly dependent, and the multipliers have no meaning.
     """
 
     acceleration: jax.Array
@@ -46,9 +46,11 @@ def constrained_acceleration(
     constraint: Constraint,
     t: Any = 0.0,
 ) -> ConstrainedMotion:
-    """The motion of particles with masses (n,) at x (n, d), velocities v (n, d), forces (n, d).
+    """Compute the acceleration of particles under constraints.
 
-    `constraint(t, x)` gives (m,), which is zero where the constraints hold.
+    masses: (n,).
+    x, v, forces: (n, d) positions, velocities and applied forces.
+    constraint: a function of (t, x) that returns phi (m,), which must be zero.
 
     >>> bob = constrained_acceleration(  # a pendulum, passing below at 3 m/s
     ...     jnp.array([2.0]), jnp.array([[0.0, -1.0]]), jnp.array([[3.0, 0.0]]),
@@ -78,7 +80,7 @@ def constrained_acceleration(
 def constraint_error(
     constraint: Constraint, t: Any, x: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """phi and its rate (m,): the errors of a state in the constraints."""
+    """Compute phi and its rate (m,), the errors of a state in the constraints."""
     t = jnp.asarray(t, x.dtype)
     return jax.jvp(constraint, (t, x), (jnp.ones_like(t), v))
 
@@ -91,7 +93,7 @@ def reduced_acceleration(
     qd: jax.Array,
     t: Any = 0.0,
 ) -> jax.Array:
-    """q'' (k,) of particles at `points(t, q)` (n, d), under forces (n, d) without the reactions.
+    """Compute q'' (k,) of particles at `points(t, q)` (n, d) under applied forces (n, d).
 
     >>> bead = lambda t, q: jnp.stack([jnp.cos(q[0]), jnp.sin(q[0])])[None]
     >>> gravity = jnp.array([[0.0, -10.0]])
@@ -113,7 +115,7 @@ def term(
     forces: Callable[[Any, jax.Array, jax.Array], jax.Array],
     constraint: Constraint,
 ) -> diffrax.ODETerm:
-    """The term for diffrax, y = (x, v). The index is 1: constraint errors are not corrected."""
+    """Return the term for diffrax with y = (x, v). Drift from the constraints is not corrected."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         x, v = y
@@ -124,7 +126,7 @@ def term(
 
 
 def _second_rate(f: Constraint, t: jax.Array, x: jax.Array, v: jax.Array):
-    """f and its second time derivative along x' = v, x'' = 0."""
+    """Compute f and its second time derivative along x' = v, x'' = 0."""
     one = jnp.ones_like(t)
 
     def rate(t: jax.Array, x: jax.Array):

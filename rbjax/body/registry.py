@@ -1,7 +1,7 @@
 """All formulations of one rigid body's motion, by name. They describe the same motion.
 
-A formulation without an attitude in its name has no singularities. `lagrange_*` are the direct
-Lagrangian equations in a representation with three numbers, and each is singular somewhere.
+`lagrange_*` are Lagrange's equations in a representation of attitude with three parameters, and
+each has a singularity. All other formulations have none.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rbjax.rotations import representations
 
 @functools.cache
 def formulations() -> MappingProxyType[str, Formulation]:
-    """Name -> formulation, in a fixed order, with those without an attitude in the name first.
+    """Return all formulations by name, in a fixed order.
 
     >>> list(formulations())[:3], len(formulations()) >= 36
     (['newton_euler', 'newton_euler_origin', 'kirchhoff'], True)

@@ -1,15 +1,15 @@
-"""Points and frames seen from a moving frame (Olguin Diaz, ch. 4; Lynch & Park, ch. 8).
+"""Motion of points and frames relative to a moving frame (Olguin Diaz, ch. 4; Lynch & Park, ch. 8).
 
-A frame B moves in A: R = R_AB, origin p, angular velocity omega and acceleration alpha, velocity v
-and acceleration a of its origin, all in A's axes. A point at r in B that moves there with r', r''
-has
+A frame B moves in A with rotation R = R_AB, origin p, angular velocity omega, angular acceleration
+alpha, and velocity v and acceleration a of its origin, all in the axes of A. A point at r in B that
+moves in B with r' and r'' has
 
     velocity       v + omega x R r + R r'
     acceleration   a + alpha x R r + omega x (omega x R r) + 2 omega x R r' + R r''
                        Euler          centripetal             Coriolis        relative
 
-Newton's law in B is m R r'' = f + apparent forces. These are the other terms times -m, among them
-the centrifugal force -m omega x (omega x R r).
+Newton's law in B is m R r'' = f + apparent forces. The apparent forces are -m times all terms but
+the relative one, such as the centrifugal force -m omega x (omega x R r).
 """
 
 from __future__ import annotations
@@ -27,7 +27,12 @@ from rbjax.rotations import so3
 
 
 class MovingFrame(NamedTuple):
-    """B seen from A, in A's axes: R (3, 3) and five vectors (3,)."""
+    """The motion of a frame B in a frame A, in the axes of A.
+
+    R: (3, 3) rotation R_AB.
+    p, v, a: (3,) position, velocity and acceleration of the origin of B.
+    omega, alpha: (3,) angular velocity and angular acceleration.
+    """
 
     R: jax.Array
     p: jax.Array
@@ -38,7 +43,7 @@ class MovingFrame(NamedTuple):
 
 
 class AccelerationTerms(NamedTuple):
-    """The five terms (3,) of an acceleration, in A's axes; their sum is the acceleration."""
+    """The five terms (3,) whose sum is the acceleration of a point, in the axes of A."""
 
     transport: jax.Array
     euler: jax.Array
@@ -48,7 +53,7 @@ class AccelerationTerms(NamedTuple):
 
 
 class ApparentForces(NamedTuple):
-    """The apparent forces (3,) on a unit mass in B, in B's axes, besides the true forces."""
+    """The apparent forces (3,) on a unit mass in a moving frame B, in the axes of B."""
 
     translation: jax.Array
     euler: jax.Array
@@ -57,7 +62,7 @@ class ApparentForces(NamedTuple):
 
 
 def moving_frame(path: Callable[[jax.Array], jax.Array], t: jax.Array) -> MovingFrame:
-    """The frame at time t of a path t -> pose (4, 4), by differentiation.
+    """Compute the `MovingFrame` at time t of a path t -> pose (4, 4), by differentiation.
 
     >>> from rbjax.rotations import se3
     >>> turning = moving_frame(lambda t: se3.exp(t * jnp.array([0.0, 0, 2, 0, 0, 0])), 0.0)
@@ -79,13 +84,13 @@ def moving_frame(path: Callable[[jax.Array], jax.Array], t: jax.Array) -> Moving
 
 
 def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
-    """p + R r (3,) of a point at r in B."""
+    """Compute the position p + R r (3,) in A of a point at r in B."""
     (r,) = _vectors("position", frame, r=r)
     return frame.p + matvec(frame.R, r)
 
 
 def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
-    """The velocity in A's axes (3,) of a point at r in B that moves there with rd."""
+    """Compute the velocity (3,) in A of a point at r in B with the velocity rd in B."""
     r, rd = _vectors("velocity", frame, r=r, rd=rd)
     return frame.v + jnp.cross(frame.omega, matvec(frame.R, r)) + matvec(frame.R, rd)
 
@@ -93,7 +98,7 @@ def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
 def acceleration_terms(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 ) -> AccelerationTerms:
-    """The terms of the acceleration of a point at r in B that moves there with rd and rdd."""
+    """Compute the terms of the acceleration in A of a point with r, rd and rdd in B."""
     given = _vectors("acceleration_terms", frame, r=r, rd=rd, rdd=rdd)
     r, rd, rdd = (matvec(frame.R, x) for x in given)
     w = frame.omega
@@ -107,7 +112,7 @@ def acceleration_terms(
 
 
 def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array) -> jax.Array:
-    """The acceleration in A's axes (3,): the sum of `acceleration_terms`.
+    """Compute the acceleration (3,) in A of a point with r, rd and rdd in B.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> acceleration(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], jnp.zeros(3)).tolist()
@@ -118,7 +123,7 @@ def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 
 
 def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> ApparentForces:
-    """Forces on a unit mass at r in B that moves with rd, in B's axes: r'' = f/m + their sum.
+    """Compute the forces on a unit mass with r and rd in B, in B's axes: r'' = f/m + their sum.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> forces = apparent_forces(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0])
@@ -133,14 +138,14 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
 def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
-    """The acceleration r'' (3,) in B's axes of a point with the acceleration a (3,) in A."""
+    """Compute the acceleration r'' (3,) in B of a point with the acceleration a (3,) in A."""
     (a,) = _vectors("relative_acceleration", frame, a=a)
     a = matvec(frame.R.T, a)
     return sum(apparent_forces(frame, r, rd), start=a)
 
 
 def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
-    """C seen from A, from B seen from A and C seen from B.
+    """Compute the motion of C in A from the motion of B in A (`outer`) and of C in B (`inner`).
 
     alpha_AC = alpha_AB + R alpha_BC + omega_AB x R omega_BC
     """
@@ -157,7 +162,7 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 
 
 def inverse(frame: MovingFrame) -> MovingFrame:
-    """A seen from B."""
+    """Compute the motion of A in B from the motion of B in A."""
     _known("inverse", frame)
     Rt = frame.R.T
     r = -matvec(Rt, frame.p)
@@ -173,6 +178,6 @@ def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
 
 
 def _vectors(where: str, frame: Any, **vectors: Any) -> list[jax.Array]:
-    """Check a frame and vectors."""
+    """Check a frame and vectors (3,), and return the vectors."""
     _known(where, frame)
     return [unbatched(where, name, x, "vector") for name, x in vectors.items()]

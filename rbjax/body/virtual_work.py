@@ -1,7 +1,7 @@
 """Generalized forces by virtual work: Q . dq = sum f_i . dx_i for every virtual displacement.
 
-(Olguin Diaz, ch. 7.) Forces at points give Q = J^T f with J = dx/dq. A wrench on a body gives
-Q_k = F . V_k, with V_k the twist of the body when only q_k changes.
+(Olguin Diaz, ch. 7.) For forces at points, Q = J^T f with J = dx/dq. For a wrench on a body,
+Q_k = F . V_k, with V_k the twist of the body if only q_k changes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rbjax.rotations import se3
 def of_forces(
     points: Callable[[jax.Array], jax.Array], forces: jax.Array, q: jax.Array
 ) -> jax.Array:
-    """Q (n,) of forces, which have the shape of `points(q)`.
+    """Compute the generalized forces Q (n,) of forces with the shape of `points(q)`.
 
     >>> tip = lambda q: jnp.stack([jnp.cos(q[0]), jnp.sin(q[0])])
     >>> of_forces(tip, jnp.array([0.0, 3.0]), jnp.array([0.0])).tolist()
@@ -34,7 +34,9 @@ def of_forces(
 
 
 def of_wrench(pose: Callable[[jax.Array], jax.Array], F: jax.Array, q: jax.Array) -> jax.Array:
-    """Q (n,) of a wrench F (6,) on a body with pose `pose(q)` (4, 4), in its axes at its origin.
+    """Compute the generalized forces Q (n,) of a wrench F (6,) on a body with the pose `pose(q)`.
+
+    F is in the axes of the body at its origin.
 
     >>> door = lambda q: se3.exp(q[0] * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     >>> F = jnp.array([0.0, 0.0, 5.0, 1.0, 1.0, 1.0])

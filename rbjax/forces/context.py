@@ -346,8 +346,8 @@ _OWN = -2
 
 
 class _NotItsOwn(Exception):
-    """A force that the loop over bodies cannot evaluate: it acts on something other than its body,
-    or it reads more than the body's pose and twist."""
+    """Raised for a force that the loop over bodies cannot evaluate: it acts on something other than
+    its body, or it reads more than the body's pose and twist."""
 
 
 class _Still:

@@ -110,8 +110,8 @@ class Element(Record):
         return self.unlimited is None or name in self.unlimited
 
     def shapes(self, model: Model) -> Shapes:
-        """Return the shapes of the parameters on a model, by field name, for a check when the
-        element is evaluated. None in a shape stands for any length."""
+        """Return the shape of each parameter for a model, by field name. The element is checked
+        with it when it is evaluated. None in a shape allows any length."""
         return {}
 
     @property

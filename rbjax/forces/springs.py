@@ -123,7 +123,7 @@ class PointSpring(Element):
         return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
     def _stretch(self, length: Lane, inverse: Lane, dtype: Any) -> tuple[Lane, Lane]:
-        """Compute the stretch x, and the ratio x / l in a form without cancellation."""
+        """Compute the stretch x and the ratio x / l, which is 1 at l = 0 if l_high is 0."""
         low, high = numbers(self.slack, dtype)
         x, ratio = sub(length, high), sub(1.0, mul(high, inverse))
         if is_literal(low) and is_literal(high) and low == high:

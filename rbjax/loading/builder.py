@@ -246,8 +246,8 @@ def _pose(where: str, position: Any, orientation: Any) -> dict[str, np.ndarray]:
 
 
 def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:
-    """Move a body by a joint at q. Keep the axes of its earlier joints, given in the body's frame,
-    unchanged in the parent's frame."""
+    """Move a body by a joint at q. Keep the body's earlier joints unchanged in the parent's frame
+    (their anchors and axes are stored in the body's frame)."""
     turn, identity = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     shift = np.zeros(3)
     if kind in ("ball", "free"):

@@ -95,7 +95,7 @@ class CheckpointedRollout:
 
     @property
     def _turns(self) -> tuple[int, int, int]:
-        """Lengths of the three nested loops: saved states, checkpoints per saved state, steps per
+        """The lengths of the nested loops: saved states, checkpoints per saved state, steps per
         checkpoint."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 

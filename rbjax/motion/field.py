@@ -132,7 +132,7 @@ class Field:
         return implicit_stiffness(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state at which a stage of a step from `start` at t0 evaluates its rates."""
+        """Return the state for the rates of a stage, in a step that begins at (t0, start)."""
         if not moves_stages(self.dynamics):
             return state
         return self.dynamics.stage_state(self.precomputed, t, state, t0, start)

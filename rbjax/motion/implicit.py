@@ -204,7 +204,7 @@ def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: st
     """Return the tableau of the implicit method for a formulation.
 
     given: a name, a solver, or None for the default.
-    also: names of further methods of the caller, for the error message.
+    also: names of further methods that the caller accepts, for the error message.
     """
     if given is None:
         return radau_iia(3).tableau

@@ -40,8 +40,8 @@ class Linear(Record):
 
     A: (n, n) derivative by the state.
     B: (n, nu) derivative by the controls.
-    acceleration: (nv,) v' at the point, or with dt the mean of v' over the step. It is zero at an
-        equilibrium.
+    acceleration: (nv,) v' at the point, or with dt the mean of v' over the step. It is zero if
+        the controls hold the robot at rest.
     """
 
     A: jax.Array

@@ -103,7 +103,7 @@ class Manifold(AbstractGroup):
 
 
 class Momentum(eqx.Module):
-    """The generalized momentum M v (nv,) as a function of diffrax."""
+    """The generalized momentum M v (nv,), with the arguments of a diffrax vector field."""
 
     model: Callable[[Any], Model]
 

@@ -120,7 +120,7 @@ def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool
 
 
 def _width(sources: Sources, model: Model, rows: jax.Array | None, between: bool) -> int:
-    """Return the number of columns of an input row, and of the inputs evaluated between steps."""
+    """Return the number of columns of an input row; `between` adds the input functions."""
     asked = sum(
         math.prod(shape)
         for f, shape in zip(sources.functions, shapes(model), strict=True)

@@ -95,8 +95,7 @@ class _Skeleton:
         return extent if extent > 1e-9 else 2.0 * max([*axes, 0.0]) or 1.0
 
     def _semi_axes(self, body: int) -> tuple[Array, Array]:
-        """Compute the lengths (3,) and directions (3, 3), by column, of the ellipsoid of
-        inertia."""
+        """Compute lengths (3,) and directions (3, 3), by column, of the ellipsoid of inertia."""
         if not self.mass[body] > 0:
             return np.zeros(3), np.eye(3)
         values, vectors = np.linalg.eigh(self.inertia[body])

@@ -1,9 +1,8 @@
 """Attitude and pose: SO(3), unit quaternions, SE(3), and every representation of attitude.
 
-Arrays are (..., n). Leading axes are a batch and broadcast against each other; `vmap` does the
-same. Functions and all their derivatives are smooth at removable singularities. At a genuine
-singularity the result is one of the possible ones, or very large but finite, and
-`singularity_distance` is 0.
+Arrays are (..., n). Leading axes are a batch and broadcast against each other, as with `vmap`.
+Functions and all their derivatives are smooth at removable singularities. At a genuine singularity
+`singularity_distance` is 0. The result is then one of several solutions, or very large but finite.
 """
 
 from rbjax.rotations import incremental, quaternion, screws, se3, so3

@@ -37,7 +37,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "planar_pose": (3,),
     "inertial": (10,),
 }
-# How far from orthonormal a matrix may be. Matrices that were measured, or rounded to half
+# Tolerance of R R^T - 1 for a rotation matrix R. Matrices that were measured, or rounded to half
 # precision and cast back, pass.
 ORTHONORMAL = 1e-2
 
@@ -45,13 +45,13 @@ ORTHONORMAL = 1e-2
 def takes(
     static: Iterable[str] = (), positive: Iterable[str] = (), **kinds: str
 ) -> Callable[[Callable], Callable]:
-    """Check and compile a function of arrays.
+    """Return a decorator that compiles a function of arrays and checks its arguments.
 
     Args:
-        static: names of arguments that are hashable values.
-        positive: names of arguments that must be above zero, if they are known.
-        kinds: name -> kind of array (`SHAPES`), or "parameters" of the attitude representation
-            whose method the function is.
+        static: names of arguments that are static (hashable).
+        positive: names of arguments that must be above zero unless they are traced.
+        kinds: name -> kind of array (`SHAPES`). "parameters" is the parameters of an attitude
+            representation, for its methods.
     """
     static = tuple(static)
 
@@ -86,10 +86,10 @@ def takes(
 
 
 def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
-    """Convert an argument to an array of a kind, and check its values if they are known.
+    """Convert an argument to an array of a kind, and check its values unless it is traced.
 
     Raises:
-        InputError: not an array, another shape or dtype, values that are not finite.
+        InputError: not an array, wrong shape or dtype, or values that are not finite.
     """
     x = _array(where, name, value, SHAPES[kind])
     if not isinstance(x, jax.core.Tracer):
@@ -98,7 +98,7 @@ def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
 
 
 def check_positive(where: str, **values: Any) -> None:
-    """Raise `InputError` if a value that is known is not above zero. None is accepted."""
+    """Raise `InputError` if an untraced value is not above zero. None is accepted."""
     for name, x in values.items():
         if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
             continue
@@ -136,20 +136,20 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
 
 
 def entries(x: jax.Array, axes: int = 1) -> list[jax.Array]:
-    """The entries of the last axes, row by row, each an array over the leading axes."""
+    """Return the entries of the last `axes` axes, row by row, as arrays over the leading axes."""
     lead = x.shape[: x.ndim - axes]
     flat = x.reshape(*lead, math.prod(x.shape[x.ndim - axes :]))  # -1 fails in an empty batch
     return [flat[..., i] for i in range(flat.shape[-1])]
 
 
 def pose_parts(T: jax.Array) -> tuple[Mat3, Vec3]:
-    """R and p of a pose (..., 4, 4) on lanes."""
+    """Return R and p of a pose (..., 4, 4) on lanes."""
     m = entries(T, 2)
     return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
 
 
 def stacked(values: Iterable[Any], *shape: int) -> jax.Array:
-    """Stack lanes, row by row, as one array (..., *shape), by default a vector.
+    """Stack lanes, row by row, to one array (..., *shape), by default a vector.
 
     Up to 12 lanes are selected by index, axis by axis: XLA's CPU compiler unrolls the selection
     into one loop over the batch, but evaluates the operands of a concatenate several times.
@@ -188,11 +188,11 @@ def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
 
 
 def spread(x: jax.Array, *shape: int) -> jax.Array:
-    """Broadcast x (...) to (..., *shape), as if each entry had its own value.
+    """Broadcast x (...) to (..., *shape) such that XLA treats each entry as a different value.
 
-    XLA stores an expensive value that several entries share (a quotient, a root) in an array of its
-    own, one more pass over memory. A value that depends on the entry stays in the loop over the
-    entries, where LLVM recognizes that it is the same.
+    XLA stores an expensive value that several entries share (a quotient, a root) in a separate
+    array, which costs one more pass over memory. A value that depends on the entry stays in the
+    loop over the entries, and LLVM recognizes that it is equal for all.
     """
     entry = sum(jnp.arange(n, dtype=x.dtype).reshape(-1, *[1] * k)
                 for k, n in enumerate(reversed(shape)))  # fmt: skip

@@ -2,13 +2,13 @@
 
 Intrinsic i-j-k: R = R_i(a) R_j(b) R_k(c), where each rotation is about an axis of the rotated
 frame. Extrinsic i-j-k, about fixed axes, is the intrinsic k-j-i with the angles in reverse order.
-*Proper* sequences (k = i) are singular where sin b = 0, *Tait-Bryan* sequences (all three axes)
-where cos b = 0. There the first and the third axis are the same line, and only the sum or the
+*Proper* sequences (k = i) are singular at sin b = 0, *Tait-Bryan* sequences (all three axes) at
+cos b = 0. At a singularity the first and the third axis are the same line, and only the sum or the
 difference of their angles is determined.
 
-Angles come from the quaternion (after Bernardes & Viollet, PLoS ONE 17(11), 2022): two complex
-numbers, whose phases are half the sum and half the difference of a and c. Rounding of a phase
-changes both angles alike, so the attitude is accurate even next to the singularity.
+Angles are computed from the quaternion (after Bernardes & Viollet, PLoS ONE 17(11), 2022), as two
+complex numbers whose phases are half the sum and half the difference of a and c. A rounding error
+of a phase changes both angles equally, so the attitude is accurate even next to the singularity.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class EulerAngles:
 
     @property
     def axes(self) -> tuple[int, int, int]:
-        """i, j, k of the intrinsic sequence."""
+        """The axes (i, j, k) of the intrinsic sequence."""
         i, j, k = (AXES.index(a) for a in self.sequence)
         return (i, j, k) if self.intrinsic else (k, j, i)
 
     @property
     def proper(self) -> bool:
-        """Whether the first axis is also the third."""
+        """True if the first axis is also the third."""
         return self.sequence[0] == self.sequence[2]
 
     @property
@@ -57,9 +57,10 @@ class EulerAngles:
         return _product(_product(a, b), c)
 
     def from_quaternion(self, q: list) -> jax.Array:
-        """Second angle from 0 to pi (proper) or from -pi/2 to pi/2, the others from -pi to pi.
+        """Return the angles as an array (..., 3).
 
-        The result is packed: the arctangent runs on arrays (..., 3).
+        The second angle is from 0 to pi (proper) or from -pi/2 to pi/2, and the first and the third
+        are from -pi to pi.
         """
         i, j, _ = self.axes
         l = 3 - i - j
@@ -98,12 +99,12 @@ class EulerAngles:
         return self._inverse(x, self._space_axes(x))
 
     def distance(self, x: list) -> jax.Array:
-        """The smallest rotation that leads to a singular attitude: from 0 to pi/2."""
+        """Return the angle, from 0 to pi/2, of the smallest rotation to a singular attitude."""
         cosine, sine = map(jnp.abs, sincos(x[1]))
         return jnp.arctan2(sine, cosine) if self.proper else jnp.arctan2(cosine, sine)
 
-    # The three axes of rotation are the columns of the rate matrix; the first and the third are
-    # orthogonal to the second, and the volume of the three is the singular quantity.
+    # The three axes of rotation are the columns of the rate matrix. The first and the third are
+    # orthogonal to the second. The triple product of all three is zero at a singularity.
 
     def _ordered(self, x: list) -> list:
         return list(x) if self.intrinsic else list(x)[::-1]
@@ -134,7 +135,7 @@ class EulerAngles:
 
 
 def _turn(axis: int, angle: jax.Array) -> list:
-    """The quaternion of a rotation about one axis, with its structural zeros."""
+    """Return the quaternion of a rotation about one axis, with structural zeros."""
     cosine, sine = sincos(angle / 2)
     return [cosine, *(sine if axis == k else 0.0 for k in range(3))]
 
@@ -148,6 +149,6 @@ def _rotation(axis: int, angle: jax.Array) -> Mat3:
 
 
 def _product(p: list, q: list) -> list:
-    """p q, without the arithmetic of structural zeros."""
+    """Compute the quaternion product p q, without the arithmetic of structural zeros."""
     a, b = Vec3(*p[1:]), Vec3(*q[1:])
     return [sub(mul(p[0], q[0]), a.dot(b)), *map(add, p[0] * b + q[0] * a, a.cross(b))]

@@ -1,9 +1,9 @@
 """Incremental orientation: a reference attitude, and a local parameter that stays near zero.
 
-R = R_ref R(x). Three numbers are integrated, x' = E^-1(x) omega_body. Before x comes near the
-singularity of its parametrization, it is folded into the reference, R_ref <- R_ref R(x), x <- 0
-(the updated-updated scheme of Masarati, ch. 4). The reference is a unit quaternion, so that folding
-costs one product and causes no drift.
+R = R_ref R(x). The three parameters x are integrated, x' = E^-1(x) omega_body. Before x comes near
+the singularity of its representation, it is folded into the reference, R_ref <- R_ref R(x), x <- 0
+(the updated-updated scheme of Masarati, ch. 4). The reference is a unit quaternion, so a fold is
+one product and causes no drift.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = [
     "Incremental", "start", "attitude", "rate", "fold", "integrate",
 ]  # fmt: skip
 
-# three numbers, zero for no rotation, and smooth there (the proper Euler sequences are not)
+# representations with three parameters that are zero for the identity and smooth at zero
 LOCAL = (
     *("mrp", "wiener_milenkovic", "euler_vector", "gibbs", "cayley", "roll_pitch_yaw"),
     *(f"{k}_{s}" for k in ("intrinsic", "extrinsic") for s in SEQUENCES if s[0] != s[2]),
@@ -33,7 +33,7 @@ LOCAL = (
 
 
 class Incremental(NamedTuple):
-    """The attitude R(reference) R(x): a unit quaternion (..., 4) and parameters (..., 3)."""
+    """The attitude R(reference) R(x), with a unit quaternion (..., 4) and parameters x (..., 3)."""
 
     reference: jax.Array
     x: jax.Array
@@ -41,26 +41,27 @@ class Incremental(NamedTuple):
 
 @takes(q="quaternion")
 def start(q: jax.Array) -> Incremental:
-    """The attitude of a unit quaternion (..., 4), with its local parameter at zero."""
+    """Return the incremental attitude of a unit quaternion (..., 4), with x = 0."""
     q = quaternion.normalize(q)
     return Incremental(q, jnp.zeros_like(q[..., :3]))
 
 
 def attitude(state: Incremental, local: str = "mrp") -> jax.Array:
-    """The unit quaternion (..., 4) of the state, whose x is in the representation `local`."""
+    """Return the unit quaternion (..., 4) of a state whose x is in the representation `local`."""
     return quaternion.multiply(state.reference, _local(local).to_quaternion(state.x))
 
 
 def rate(state: Incremental, omega: jax.Array, local: str = "mrp") -> jax.Array:
-    """x' (..., 3) from the angular velocity in body axes (..., 3); the reference is constant."""
+    """Compute x' (..., 3) from the angular velocity (..., 3) in body axes."""
     inverse = _local(local).inverse_body_rate_matrix(state.x)
     return matvec(inverse, omega)
 
 
 def fold(state: Incremental, local: str = "mrp", margin: float | None = None) -> Incremental:
-    """The same attitude with x = 0, where x is nearer than `margin` (rad) to its singularity.
+    """Fold x into the reference if x is nearer than `margin` (rad) to its singularity.
 
-    The default margin is half the distance from zero to the singularity.
+    The attitude does not change. The default margin is half the distance from zero to the
+    singularity.
 
     >>> state = Incremental(quaternion.identity(), jnp.array([0.0, 0.0, 1.1]))
     >>> state = fold(state)
@@ -86,10 +87,10 @@ def integrate(
     local: str = "mrp",
     margin: float | None = None,
 ) -> jax.Array:
-    """Unit quaternions (len(ts), ..., 4) at the times ts, of q' = q omega_body(t, q) / 2 from q.
+    """Integrate q' = q omega(t, q) / 2 from q to unit quaternions (len(ts), ..., 4) at times ts.
 
-    The classical Runge-Kutta method of order 4 on the local parameter, with one step from each time
-    to the next and a `fold` after each.
+    omega is in body axes. The method is the classical Runge-Kutta method of order 4 on the local
+    parameter, with one step from each time to the next and a `fold` after each step.
 
     >>> ts = jnp.linspace(0.0, 10.0, 101)
     >>> turned = integrate(lambda t, q: jnp.array([0.0, 0.0, 1.0]), quaternion.identity(), ts)

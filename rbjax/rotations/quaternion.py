@@ -1,9 +1,9 @@
 """Unit quaternions w, x, y, z (Hamilton), as arrays (..., 4).
 
-exp and log are series near the identity, so that values and all derivatives stay finite and exact
-there (Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and
--q are the same rotation; where the sign is free, w >= 0. The functions on *lanes* take and return
-lists of scalars or (batch,) arrays, for use inside longer arithmetic.
+exp and log are series near the identity, so that values and all derivatives are finite and exact
+(Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and -q are
+the same rotation. If the sign is free, w >= 0. The arguments and results of functions on *lanes*
+are lists of scalars or (batch,) arrays.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """The quaternion of no rotation."""
+    """Return the identity quaternion (1, 0, 0, 0)."""
     return jnp.array([1.0, 0.0, 0.0, 0.0], dtype)
 
 
 @takes(a="quaternion", b="quaternion")
 def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
-    """The rotation b followed by a, in a's axes: a b."""
+    """Multiply quaternions: a b is the rotation b followed by the rotation a."""
     return stacked(product(entries(a), entries(b)))
 
 
 @takes(a="quaternion")
 def conjugate(a: jax.Array) -> jax.Array:
-    """The inverse of a unit quaternion."""
+    """Return the conjugate of a quaternion, the inverse of a unit quaternion."""
     return jnp.where(jnp.arange(4) == 0, a, -a)
 
 
@@ -56,7 +56,7 @@ def normalize(a: jax.Array) -> jax.Array:
 
 @takes(a="quaternion", v="vector")
 def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
-    """R(a) v of a unit quaternion: v + 2 w u x v + 2 u x (u x v).
+    """Rotate a vector by a unit quaternion: R(a) v = v + 2 w u x v + 2 u x (u x v).
 
     >>> rotate([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).tolist()
     [1.0, 2.0, 3.0]
@@ -74,9 +74,9 @@ def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
 
 @takes(a="quaternion")
 def to_matrix(a: jax.Array) -> jax.Array:
-    """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any nonzero length.
+    """Compute the rotation matrix (..., 3, 3) of a quaternion (..., 4) of any nonzero length.
 
-    1 + s [u](w + [u]), s = 2 / |a|^2: `lanes.quaternion_matrix`, in one pass over memory.
+    It is 1 + s [u](w + [u]) with s = 2 / |a|^2, computed in one pass over memory.
     """
     w, x, y, z = entries(a)
     turn = stacked([
@@ -90,7 +90,7 @@ def to_matrix(a: jax.Array) -> jax.Array:
 
 @takes(R="rotation")
 def from_matrix(R: jax.Array) -> jax.Array:
-    """The unit quaternion, w >= 0, of a rotation matrix (..., 3, 3).
+    """Compute the unit quaternion with w >= 0 of a rotation matrix (..., 3, 3).
 
     >>> from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
     [0.0, 1.0, 0.0, 0.0]
@@ -102,23 +102,23 @@ def from_matrix(R: jax.Array) -> jax.Array:
 
 @takes(phi="vector")
 def exp(phi: jax.Array) -> jax.Array:
-    """The quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector (..., 3)."""
+    """Compute the quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector."""
     return stacked(exp_lanes(entries(phi)))
 
 
 @takes(a="quaternion")
 def log(a: jax.Array) -> jax.Array:
-    """The rotation vector (..., 3), of length at most pi, of a quaternion of any nonzero length.
+    """Compute the rotation vector phi (..., 3), |phi| <= pi, of a quaternion of nonzero length.
 
-    phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of the two
-    vectors is returned, and the derivative is that of its branch.
+    phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of two
+    vectors is returned, and the derivative belongs to its branch.
     """
     return stacked(log_lanes(entries(a)))
 
 
 @takes(a="quaternion")
 def angle(a: jax.Array) -> jax.Array:
-    """The angle (...), from 0 to pi, of the rotation by a quaternion of any nonzero length.
+    """Compute the rotation angle (...), from 0 to pi, of a quaternion of any nonzero length.
 
     >>> float(angle([0.0, 0.0, 2.0, 0.0]))
     3.14159...
@@ -129,7 +129,7 @@ def angle(a: jax.Array) -> jax.Array:
 
 @takes(a="quaternion", b="quaternion")
 def distance(a: jax.Array, b: jax.Array) -> jax.Array:
-    """The angle (...), from 0 to pi, of the rotation from a to b.
+    """Compute the angle (...), from 0 to pi, of the rotation from a to b.
 
     >>> float(distance([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]))
     3.14159...
@@ -140,7 +140,9 @@ def distance(a: jax.Array, b: jax.Array) -> jax.Array:
 
 @takes(a="quaternion", b="quaternion", s="scalar")
 def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
-    """a exp(s log(a^-1 b)), slerp: a at s = 0, b or -b at 1, at constant rate on the shorter path.
+    """Interpolate by slerp, a exp(s log(a^-1 b)), on the shorter path from a (s = 0) to b (s = 1).
+
+    At s = 1 the result is b or -b.
 
     >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
     [0.707, 0.0, 0.0, 0.707]
@@ -151,7 +153,7 @@ def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
 
 
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
-    """Quaternions (*shape, 4) uniform over all rotations.
+    """Draw unit quaternions (*shape, 4) uniformly over all rotations.
 
     >>> random(jax.random.key(0), (5,)).shape
     (5, 4)
@@ -163,7 +165,7 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
 
 
 def product(a: list, b: list) -> list:
-    """Lanes of a b."""
+    """Compute the lanes of the quaternion product a b."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a, b
     return [
         aw * bw - ax * bx - ay * by - az * bz,
@@ -174,9 +176,9 @@ def product(a: list, b: list) -> list:
 
 
 def from_matrix_lanes(R: list) -> list:
-    """A quaternion, of length from 2 to 4 and either sign, of a matrix given row by row.
+    """Compute a quaternion, of length from 2 to 4 and either sign, of a matrix given row by row.
 
-    4 q_k (w, x, y, z) for the largest q_k (Shepperd, 1978): no cancellation, no root, no branch.
+    It is 4 q_k (w, x, y, z) for the largest component q_k (Shepperd, 1978), without cancellation.
     """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = R
     a, b, c = zy - yz, xz - zx, yx - xy
@@ -196,7 +198,7 @@ def from_matrix_lanes(R: list) -> list:
 
 
 def exp_lanes(phi: list) -> list:
-    """`exp` on lanes."""
+    """Compute `exp` on lanes."""
     px, py, pz = phi
     cosine, sine = stumpff((px * px + py * py + pz * pz) / 4, 0, 1)
     scale = sine / 2
@@ -204,7 +206,7 @@ def exp_lanes(phi: list) -> list:
 
 
 def log_lanes(q: list) -> list:
-    """`log` of a quaternion of any nonzero length, on lanes."""
+    """Compute `log` of a quaternion of any nonzero length, on lanes."""
     w, x, y, z = q
     sign = _sign(w)
     scale = 2 * sign * arctan_over(w * sign, x * x + y * y + z * z)
@@ -212,16 +214,16 @@ def log_lanes(q: list) -> list:
 
 
 def angle_lanes(w: jax.Array, u: list) -> jax.Array:
-    """The angle, from 0 to pi, of the rotation by a quaternion (w, u) of any nonzero length."""
+    """Compute the rotation angle, from 0 to pi, of a quaternion (w, u) of any nonzero length."""
     square = sum(x * x for x in u)
     return 2 * length(square) * arctan_over(w * _sign(w), square)
 
 
 def turned(q: list, phi: list) -> list:
-    """Lanes of q exp(phi / 2) / |q|: the unit quaternion q followed by phi in body axes.
+    """Rotate a quaternion q by phi in body axes: the lanes of the unit quaternion q exp(phi / 2).
 
-    Computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once. Dividing by a
-    length that is one ulp off biases all components, and the bias accumulates over steps.
+    It is computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once. A
+    division by a rounded length would bias all components, and the bias accumulates over steps.
     """
     px, py, pz = phi
     square = (px * px + py * py + pz * pz) / 4
@@ -239,6 +241,6 @@ def _conjugate(q: list) -> list:
 
 
 def _sign(w: jax.Array) -> jax.Array:
-    """-1 where w < 0, else 1."""
+    """Return -1 if w < 0, else 1."""
     w = jnp.asarray(w)
     return where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))

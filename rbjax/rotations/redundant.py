@@ -1,9 +1,9 @@
 """Attitude in more than three numbers: quaternion, axis and angle, matrix, two of its columns.
 
-Any three parameters have singularities (Stuelpnagel, 1964). More than three, with constraints, can
-avoid them. x is any point near the constraint. E(x) x' ignores the part of x' that only changes the
-constraint, and the inverse map gives the x' that keeps it. E E^-1 = 1; E^-1 E projects onto the
-constraint.
+Any representation with three parameters has singularities (Stuelpnagel, 1964). More parameters with
+constraints can avoid them. x may violate the constraints slightly. E(x) x' ignores the part of x'
+that only changes the constraints, and the inverse map E^-1 returns an x' that preserves them.
+E E^-1 = 1, and E^-1 E is the projection onto the constraints.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ class UnitQuaternion(_Global):
         return [x[3], *x[:3]] if self.scalar_last else list(x)
 
     def from_quaternion(self, q: list) -> list:
-        """The one with w >= 0."""
+        """Return the unit quaternion with w >= 0."""
         scale = jax.lax.rsqrt(sum(a * a for a in q))
         scale = where(q[0] < 0, -scale, scale)
         return self._ordered([scale * a for a in q])
 
     def body_rate(self, x: list) -> list:
-        """omega = 2 (w u' - w' u - u x u')."""
+        """Return the matrix of omega_body = 2 (w u' - w' u - u x u')."""
         return self._rate(x, -1.0)
 
     def space_rate(self, x: list) -> list:
-        """omega = 2 (w u' - w' u + u x u')."""
+        """Return the matrix of omega_space = 2 (w u' - w' u + u x u')."""
         return self._rate(x, 1.0)
 
     def inverse_body_rate(self, x: list) -> list:
-        """w' = -u.omega/2, u' = (w omega + u x omega)/2."""
+        """Return the matrix of w' = -u.omega/2, u' = (w omega + u x omega)/2."""
         return self._inverse(x, 1.0)
 
     def inverse_space_rate(self, x: list) -> list:
-        """w' = -u.omega/2, u' = (w omega - u x omega)/2."""
+        """Return the matrix of w' = -u.omega/2, u' = (w omega - u x omega)/2."""
         return self._inverse(x, -1.0)
 
     def _rate(self, x: list, side: float) -> list:
@@ -86,7 +86,7 @@ class UnitQuaternion(_Global):
 class AxisAngle:
     """Unit axis n and angle phi: omega_space = phi' n + sin phi n' + (1 - cos phi) n x n'.
 
-    Here n' is its part orthogonal to n, -[n]^2 n'.
+    In this formula n' is the part of n' that is orthogonal to n, -[n]^2 n'.
     """
 
     size = 4
@@ -98,7 +98,7 @@ class AxisAngle:
         return [c * length(sum(a * a for a in n)), *(s * a for a in n)]
 
     def from_quaternion(self, q: list) -> list:
-        """Angle from 0 to pi; the axis of no rotation is x."""
+        """Return axis and angle, from 0 to pi. The axis is x if the angle is 0."""
         w, *u = q
         sign = where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
         square = sum(a * a for a in u)
@@ -118,7 +118,7 @@ class AxisAngle:
         return self._rate(x, 1.0)
 
     def inverse_body_rate(self, x: list) -> list:
-        """phi' = n.omega, n' = (cot(phi/2) (omega - n phi') + n x omega) / 2."""
+        """Return the matrix: phi' = n.omega, n' = (cot(phi/2) (omega - n phi') + n x omega) / 2."""
         return self._inverse(x, 0.5)
 
     def inverse_space_rate(self, x: list) -> list:
@@ -143,7 +143,7 @@ class AxisAngle:
 
 
 class RotationMatrix(_Global):
-    """The nine entries, row by row: [omega_body] = R^T R'."""
+    """The nine entries of a rotation matrix, row by row, with [omega_body] = R^T R'."""
 
     size = 9
 
@@ -154,32 +154,32 @@ class RotationMatrix(_Global):
         return list(quaternion_matrix(*q))
 
     def body_rate(self, x: list) -> list:
-        """omega_i from columns c: omega_1 = (c_3.c_2' - c_2.c_3') / 2, and cyclically."""
+        """Return the matrix of omega_1 = (c_3.c_2' - c_2.c_3') / 2, cyclically; c_i are columns."""
         u, v, w = (0.5 * column for column in Mat3(*x).columns)
         o = Vec3.zero()
         rows = ((o, w, -v), (-w, o, u), (v, -u, o))
         return [a for row in rows for entry in zip(*row, strict=True) for a in entry]
 
     def space_rate(self, x: list) -> list:
-        """The same from rows, with the opposite sign."""
+        """Return the matrix of omega_1 = (r_2.r_3' - r_3.r_2') / 2, cyclically, with rows r_i."""
         u, v, w = (0.5 * row for row in Mat3(*x).rows)
         o = Vec3.zero()
         rows = ((o, -w, v), (w, o, -u), (-v, u, o))
         return [a for row in rows for entry in row for a in entry]
 
     def inverse_body_rate(self, x: list) -> list:
-        """R' = R [omega]."""
+        """Return the matrix of R' = R [omega]."""
         return [a for row in Mat3(*x).rows for k in range(3) for a in row.cross(_unit(k)) * -1.0]
 
     def inverse_space_rate(self, x: list) -> list:
-        """R' = [omega] R."""
+        """Return the matrix of R' = [omega] R."""
         columns = Mat3(*x).columns
         crossed = [[Mat3.skew(-c).rows[i] for c in columns] for i in range(3)]
         return [a for i in range(3) for row in crossed[i] for a in row]
 
 
 class TwoColumns:
-    """The first two columns of the matrix, made orthonormal by Gram-Schmidt (Zhou et al., 2019)."""
+    """Two vectors that Gram-Schmidt converts to the first two columns of R (Zhou et al., 2019)."""
 
     size = 6
     singular_set = "the two columns are parallel, or one of them is zero"
@@ -194,7 +194,7 @@ class TwoColumns:
         return [*first, *second]
 
     def body_rate(self, x: list) -> list:
-        """omega = (b_3.b_2', -b_3.b_1', b_2.b_1')."""
+        """Return the matrix of omega_body = (b_3.b_2', -b_3.b_1', b_2.b_1'), with columns b_i."""
         (_, b2, b3), (n, m), along = self._frame(x)
         o = Vec3.zero()
         rows = [((-along / (n * m)) * b3, (1 / m) * b3), ((-1 / n) * b3, o), ((1 / n) * b2, o)]
@@ -214,11 +214,11 @@ class TwoColumns:
         return [row.dot(b) for row in rows for b in (b1, b2, b3)]
 
     def inverse_space_rate(self, x: list) -> list:
-        """Each column rotates: a' = omega x a."""
+        """Return the matrix of a' = omega x a for both vectors a."""
         return [a for half in (x[:3], x[3:]) for a in Mat3.skew(-Vec3(*half))]
 
     def distance(self, x: list) -> jax.Array:
-        """The angle between the columns, or its supplement."""
+        """Return the angle between the lines of the two vectors, from 0 to pi/2."""
         a, b = Vec3(*x[:3]), Vec3(*x[3:])
         c = a.cross(b)
         return angle(length(c.dot(c)), jnp.abs(a.dot(b)))

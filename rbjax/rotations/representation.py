@@ -1,7 +1,7 @@
-"""Every representation of attitude behind one interface, and conversion between any two.
+"""All representations of attitude with one interface, and conversions between them.
 
-`representations()` has all that cover SO(3): every attitude has parameters, which give the attitude
-back up to rounding. (`vectorial` has two more parametrizations that cover less.)
+`representations()` returns all representations that cover SO(3). `vectorial` has two more that
+cover only a part of SO(3).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["Representation", "representations", "find", "convert"]
 
 
 class Formulas(Protocol):
-    """A representation on lanes. Matrices are row by row, quaternions of any length."""
+    """A representation on lanes. Matrices are row by row. Quaternions have any nonzero length."""
 
     @property
     def size(self) -> int: ...
@@ -40,10 +40,10 @@ class Formulas(Protocol):
 
 
 class Representation:
-    """Attitude in `size` numbers x (..., size): R = R_AB of body axes B seen from space axes A.
+    """A representation of the attitude R_AB of body axes B in space axes A by x (..., size).
 
-    At a singularity (`singularity_distance` 0) `from_matrix` gives one of the possible answers,
-    whose matrix is still R, and the inverse rate maps are very large but finite.
+    At a singularity (`singularity_distance` is 0) `from_matrix` returns one of several solutions,
+    whose matrix is R, and the inverse rate matrices are very large but finite.
     """
 
     def __init__(self, name: str, formulas: Formulas):
@@ -55,69 +55,69 @@ class Representation:
 
     @takes(["self"], x="parameters")
     def to_matrix(self, x: jax.Array) -> jax.Array:
-        """R (..., 3, 3)."""
+        """Compute the rotation matrix R (..., 3, 3)."""
         return stacked(quaternion_matrix(*self.formulas.to_quaternion(entries(x))), 3, 3)
 
     @takes(["self"], R="rotation")
     def from_matrix(self, R: jax.Array) -> jax.Array:
-        """x (..., size)."""
+        """Compute the parameters x (..., size) of a rotation matrix R (..., 3, 3)."""
         return stacked(self.formulas.from_quaternion(quaternion.from_matrix_lanes(entries(R, 2))))
 
     @takes(["self"], x="parameters")
     def to_quaternion(self, x: jax.Array) -> jax.Array:
-        """A unit quaternion w, x, y, z (..., 4), of either sign."""
+        """Compute a unit quaternion w, x, y, z (..., 4), of either sign."""
         q = self.formulas.to_quaternion(entries(x))
         shrink = 1 / jnp.sqrt(sum(a * a for a in q))
         return stacked([a * shrink for a in q])
 
     @takes(["self"], q="quaternion")
     def from_quaternion(self, q: jax.Array) -> jax.Array:
-        """x (..., size) of a quaternion of any nonzero length and either sign."""
+        """Compute the parameters x (..., size) of a quaternion of any nonzero length."""
         return stacked(self.formulas.from_quaternion(entries(q)))
 
     @takes(["self"], x="parameters")
     def body_rate_matrix(self, x: jax.Array) -> jax.Array:
-        """E (..., 3, size): omega_body = E x'."""
+        """Compute the rate matrix E (..., 3, size) of omega_body = E x'."""
         return stacked(self.formulas.body_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
     def space_rate_matrix(self, x: jax.Array) -> jax.Array:
-        """E (..., 3, size): omega_space = E x'."""
+        """Compute the rate matrix E (..., 3, size) of omega_space = E x'."""
         return stacked(self.formulas.space_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
     def inverse_body_rate_matrix(self, x: jax.Array) -> jax.Array:
-        """(..., size, 3): x' from omega_body, the attitude inverse kinematics."""
+        """Compute the matrix (..., size, 3) that maps omega_body to x'."""
         return stacked(self.formulas.inverse_body_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters")
     def inverse_space_rate_matrix(self, x: jax.Array) -> jax.Array:
-        """(..., size, 3): x' from omega_space."""
+        """Compute the matrix (..., size, 3) that maps omega_space to x'."""
         return stacked(self.formulas.inverse_space_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
     def body_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
-        """d omega_body/dt (..., 3) = E x'' + E' x'."""
+        """Compute d omega_body/dt = E x'' + E' x' (..., 3)."""
         return _rate_of(self.formulas.body_rate, x, xd, xdd)
 
     @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
     def space_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
-        """d omega_space/dt (..., 3) = E x'' + E' x'."""
+        """Compute d omega_space/dt = E x'' + E' x' (..., 3)."""
         return _rate_of(self.formulas.space_rate, x, xd, xdd)
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
     def second_rate_from_body(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-        """x'' (..., size) from omega_body and its derivative alpha."""
+        """Compute x'' (..., size) from omega_body and its derivative alpha."""
         return _second_rate(self.formulas.inverse_body_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
     def second_rate_from_space(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-        """x'' (..., size) from omega_space and its derivative alpha."""
+        """Compute x'' (..., size) from omega_space and its derivative alpha."""
         return _second_rate(self.formulas.inverse_space_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters")
     def singularity_distance(self, x: jax.Array) -> jax.Array:
-        """The angle (...) of the smallest rotation to the `singular_set`; inf if there is none."""
+        """Return the angle (...) of the smallest rotation to the `singular_set`, or inf."""
         return self.formulas.distance(entries(x))
 
 
@@ -128,13 +128,13 @@ def _apply(matrix: list, v: list) -> list:
 
 
 def _rate_of(E, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
-    """d/dt (E(x) x'), differentiated along the motion."""
+    """Compute d/dt (E(x) x') by differentiation along the motion."""
     args, rates = (entries(x), entries(xd)), (entries(xd), entries(xdd))
     return stacked(jax.jvp(lambda x, xd: _apply(E(x), xd), args, rates)[1])
 
 
 def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-    """d/dt (E^-1(x) omega), along the motion with velocity omega."""
+    """Compute x'' = d/dt (E^-1(x) omega) by differentiation along the motion."""
     p, w = entries(x), entries(omega)
     xd = _apply(inverse(p), w)
     return stacked(jax.jvp(lambda p, w: _apply(inverse(p), w), (p, w), (xd, entries(alpha)))[1])
@@ -142,7 +142,7 @@ def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> j
 
 @functools.cache
 def representations() -> MappingProxyType[str, Representation]:
-    """Name -> representation, in a stable order; the 24 Euler sequences last.
+    """Return all representations by name, in a stable order, with the 24 Euler sequences last.
 
     >>> reps = representations()
     >>> len(reps) >= 30, list(reps)[:3]
@@ -169,7 +169,7 @@ def representations() -> MappingProxyType[str, Representation]:
 
 
 def convert(x: jax.Array, source: str, target: str) -> jax.Array:
-    """The parameters x (..., n) of one representation converted to another, by their names.
+    """Convert parameters x (..., n) from one representation to another, given by their names.
 
     >>> convert([0.0, 0.0, jnp.pi / 2], "euler_vector", "mrp").tolist()
     [0.0, 0.0, 0.4142...]

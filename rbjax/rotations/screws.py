@@ -1,8 +1,8 @@
 """Screws: a twist as a rotation about a line and a translation along it (Lynch & Park, 3.3.2).
 
 A twist V = (omega, v) of magnitude theta and pitch h about the line through r along the unit
-vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch. Its
-magnitude is that of the translation, its axis the direction.
+vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch, the
+magnitude |v|, and the axis v / |v|.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = [
 
 
 class Screw(NamedTuple):
-    """The line along `axis` (unit) through `point`, `pitch` (length a radian), `magnitude`."""
+    """A screw: the line along a unit `axis` through `point`, `pitch` (m/rad) and `magnitude`."""
 
     axis: jax.Array
     point: jax.Array
@@ -32,7 +32,7 @@ class Screw(NamedTuple):
 
 @takes(twist="twist")
 def from_twist(twist: jax.Array) -> Screw:
-    """The screw of a twist (..., 6); `point` is the point of the line nearest the origin.
+    """Compute the screw of a twist (..., 6), with the `point` of its line nearest the origin.
 
     The zero twist has the axis z and the magnitude 0.
 
@@ -60,7 +60,7 @@ def from_twist(twist: jax.Array) -> Screw:
 
 @takes(axis="vector", point="vector", pitch="scalar_or_infinite", magnitude="scalar")
 def to_twist(axis: jax.Array, point: jax.Array, pitch: jax.Array, magnitude: jax.Array):
-    """The twist (..., 6) of a screw, `to_twist(*screw)`; infinite pitch is a pure translation.
+    """Compute the twist (..., 6) of a screw. An infinite pitch means a pure translation.
 
     >>> to_twist([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], jnp.inf, 2.0).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]

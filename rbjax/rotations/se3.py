@@ -3,9 +3,9 @@
 A pose T = [R p; 0 1] (..., 4, 4) maps coordinates of its frame into those of the parent. A twist is
 angular first, xi = (phi, rho) or V = (omega, v). [xi] = [[phi] rho; 0 0].
 
-SE(3) is SO(3) over the dual numbers (Kotelnikov's principle of transference): as ad(xi) is
-[phi + eps rho], each 6 by 6 Jacobian is [[J, 0], [Q, J]] with the Jacobian J of SO(3) at phi and
-Q its derivative along rho. It is computed in this way here, so it is exact where J is.
+SE(3) is SO(3) over the dual numbers (Kotelnikov's principle of transference), with ad(xi) =
+[phi + eps rho]. Each 6 by 6 Jacobian is therefore [[J, 0], [Q, J]], with the Jacobian J of SO(3) at
+phi and its derivative Q along rho, and is computed in this way.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """The pose of the parent frame itself."""
+    """Return the identity pose (4, 4)."""
     return jnp.eye(4, dtype=dtype)
 
 
 @takes(R="rotation", p="vector")
 def pose(R: jax.Array, p: jax.Array) -> jax.Array:
-    """The pose [R p; 0 1] (..., 4, 4).
+    """Assemble the pose [R p; 0 1] (..., 4, 4).
 
     >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
     [1.0, 2.0, 3.0]
@@ -51,7 +51,7 @@ def pose(R: jax.Array, p: jax.Array) -> jax.Array:
 
 @takes(xi="twist")
 def hat(xi: jax.Array) -> jax.Array:
-    """The matrix [xi] (..., 4, 4) of a twist (..., 6).
+    """Return the matrix [xi] (..., 4, 4) of a twist (..., 6).
 
     >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
     [0.0, -1.0, 0.0, 4.0]
@@ -63,7 +63,7 @@ def hat(xi: jax.Array) -> jax.Array:
 
 @takes(W="matrix4")
 def vee(W: jax.Array) -> jax.Array:
-    """xi (..., 6) of [xi]; the angular part is that of the skew-symmetric part."""
+    """Return the twist xi (..., 6) of a matrix [xi], from the skew part of its 3 by 3 block."""
     m = entries(W, 2)
     skew = [(m[9] - m[6]) / 2, (m[2] - m[8]) / 2, (m[4] - m[1]) / 2]
     return stacked([*skew, m[3], m[7], m[11]])
@@ -71,7 +71,7 @@ def vee(W: jax.Array) -> jax.Array:
 
 @takes(xi="twist")
 def exp(xi: jax.Array) -> jax.Array:
-    """The pose [exp(phi), J_l(phi) rho] that the constant twist xi reaches in unit time.
+    """Compute the pose [exp(phi), J_l(phi) rho] that the constant twist xi reaches in unit time.
 
     >>> exp([0.0, 0.0, jnp.pi, 0.0, 1.0, 0.0])[:3, 3].round(6).tolist()
     [-0.63662, 0.0, 0.0]
@@ -85,7 +85,7 @@ def exp(xi: jax.Array) -> jax.Array:
 
 @takes(T="pose")
 def log(T: jax.Array) -> jax.Array:
-    """The twist xi (..., 6), with an angle of at most pi and exp(xi) = T.
+    """Compute the twist xi (..., 6) with exp(xi) = T and an angle of at most pi.
 
     >>> jnp.allclose(log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])), jnp.array([0.1, 0.2, 0.3, 4, 5, 6]))
     Array(True, dtype=bool)
@@ -106,14 +106,14 @@ def compose(A: jax.Array, B: jax.Array) -> jax.Array:
 
 @takes(T="pose")
 def inverse(T: jax.Array) -> jax.Array:
-    """The inverse pose [R^T, -R^T p]."""
+    """Compute the inverse pose [R^T, -R^T p]."""
     R, p = pose_parts(T)
     return _pose(R.T, -(R.T @ p))
 
 
 @takes(A="pose", B="pose", s="scalar")
 def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
-    """A exp(s log(A^-1 B)): the screw motion from A at s = 0 to B at s = 1.
+    """Interpolate along the screw motion A exp(s log(A^-1 B)) from A (s = 0) to B (s = 1).
 
     >>> interpolate(identity(), exp([0.0, 0.0, 0.2, 0.0, 0.0, 2.0]), 0.5)[2, 3].round(6).item()
     1.0
@@ -123,7 +123,7 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 
 @takes(A="pose", B="pose")
 def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The angle and the length of the motion from A to B."""
+    """Compute the rotation angle and the translation distance from A to B."""
     (R, p), (S, r) = pose_parts(A), pose_parts(B)
     w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
     d = r - p
@@ -132,7 +132,7 @@ def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @takes(T="pose")
 def adjoint(T: jax.Array) -> jax.Array:
-    """The adjoint matrix (..., 6, 6) [[R, 0], [[p] R, R]]: a twist of T's frame in parent axes.
+    """Compute the adjoint matrix [[R, 0], [[p] R, R]] (..., 6, 6), which maps twists to the parent.
 
     >>> (adjoint(exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
     [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
@@ -143,32 +143,32 @@ def adjoint(T: jax.Array) -> jax.Array:
 
 @takes(xi="twist")
 def ad(xi: jax.Array) -> jax.Array:
-    """ad(xi) (..., 6, 6) = [[[phi], 0], [[rho], [phi]]]: ad(a) b = [a, b] is the Lie bracket."""
+    """Compute ad(xi) = [[[phi], 0], [[rho], [phi]]] (..., 6, 6). ad(a) b is the Lie bracket."""
     phi, rho = _halves(entries(xi))
     return _blocks(list(Mat3.skew(phi)), list(Mat3.skew(rho)))
 
 
 @takes(xi="twist")
 def left_jacobian(xi: jax.Array) -> jax.Array:
-    """J_l (..., 6, 6): exp(xi + d) = exp(J_l d) exp(xi), so V_space = J_l xi'."""
+    """Compute J_l (..., 6, 6) of exp(xi + d) = exp(J_l d) exp(xi), with V_space = J_l xi'."""
     return _dual(left_lanes, entries(xi))
 
 
 @takes(xi="twist")
 def right_jacobian(xi: jax.Array) -> jax.Array:
-    """J_r (..., 6, 6): exp(xi + d) = exp(xi) exp(J_r d), so V_body = J_r xi'."""
+    """Compute J_r (..., 6, 6) of exp(xi + d) = exp(xi) exp(J_r d), with V_body = J_r xi'."""
     return _dual(left_lanes, entries(-xi))
 
 
 @takes(xi="twist")
 def inverse_left_jacobian(xi: jax.Array) -> jax.Array:
-    """J_l^-1 (..., 6, 6): xi' = J_l^-1 V_space, for angles below 2 pi."""
+    """Compute J_l^-1 (..., 6, 6), with xi' = J_l^-1 V_space, for angles below 2 pi."""
     return _dual(inverse_left_lanes, entries(xi))
 
 
 @takes(xi="twist")
 def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
-    """J_r^-1 (..., 6, 6): xi' = J_r^-1 V_body, for angles below 2 pi."""
+    """Compute J_r^-1 (..., 6, 6), with xi' = J_r^-1 V_body, for angles below 2 pi."""
     return _dual(inverse_left_lanes, entries(-xi))
 
 
@@ -177,7 +177,7 @@ def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
 
 @takes(T="pose", V="twist")
 def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
-    """T' = T [V_body] (..., 4, 4)."""
+    """Compute the rate of a pose, T' = T [V_body] (..., 4, 4)."""
     R, _ = pose_parts(T)
     omega, v = _halves(entries(V))
     return _bottomed(R @ Mat3.skew(omega), R @ v, 0.0)
@@ -185,7 +185,7 @@ def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
 
 @takes(T="pose", V="twist")
 def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
-    """T' = [V_space] T (..., 4, 4)."""
+    """Compute the rate of a pose, T' = [V_space] T (..., 4, 4)."""
     R, p = pose_parts(T)
     omega, v = _halves(entries(V))
     return _bottomed(Mat3.skew(omega) @ R, omega.cross(p) + v, 0.0)
@@ -193,7 +193,7 @@ def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
 
 @takes(T="pose", dT="matrix4")
 def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
-    """V_body (..., 6), [V_body] = T^-1 T'.
+    """Compute the body twist V_body (..., 6), with [V_body] = T^-1 T'.
 
     >>> body_twist(identity(), hat([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).tolist()
     [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -204,7 +204,7 @@ def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
 
 @takes(T="pose", dT="matrix4")
 def space_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
-    """V_space (..., 6), [V_space] = T' T^-1."""
+    """Compute the space twist V_space (..., 6), with [V_space] = T' T^-1."""
     (R, p), (dR, dp) = pose_parts(T), pose_parts(dT)
     omega = _vee(dR @ R.T)
     return stacked([*omega, *(dp - omega.cross(p))])
@@ -231,7 +231,7 @@ def _vee(W: Mat3) -> Vec3:
 
 
 def _blocks(A: list, B: list) -> jax.Array:
-    """[[A, 0], [B, A]]."""
+    """Assemble the block matrix [[A, 0], [B, A]] (..., 6, 6)."""
     rows = [[*A[3 * i : 3 * i + 3], 0.0, 0.0, 0.0] for i in range(3)]
     rows += [[*B[3 * i : 3 * i + 3], *A[3 * i : 3 * i + 3]] for i in range(3)]
     return stacked([x for row in rows for x in row], 6, 6)

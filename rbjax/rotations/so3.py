@@ -1,8 +1,8 @@
 """SO(3), the group of rotation matrices, and so(3), its algebra of skew-symmetric matrices.
 
-R = exp([phi]) rotates by |phi| about phi; R_AB maps B-coordinates into A. exp, log and the rest use
-the unit quaternion, whose half angle is harmless at pi. Shepperd's method keeps the digits that the
-trace of a matrix would lose there (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
+R = exp([phi]) rotates by |phi| about phi. R_AB maps B-coordinates to A-coordinates. exp and log use
+the unit quaternion (Shepperd's method), which keeps the digits that the trace of R loses at the
+angle pi (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """The matrix of no rotation."""
+    """Return the identity matrix (3, 3)."""
     return jnp.eye(3, dtype=dtype)
 
 
 @takes(phi="vector")
 def hat(phi: jax.Array) -> jax.Array:
-    """The skew-symmetric matrix [phi] (..., 3, 3), with [phi] a = phi x a.
+    """Return the skew-symmetric matrix [phi] (..., 3, 3), with [phi] a = phi x a.
 
     >>> hat([1.0, 2.0, 3.0]).tolist()
     [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
@@ -49,7 +49,7 @@ def hat(phi: jax.Array) -> jax.Array:
 
 @takes(W="matrix")
 def vee(W: jax.Array) -> jax.Array:
-    """phi (..., 3) of [phi]. Another matrix gives that of its skew-symmetric part.
+    """Return the vector phi (..., 3) of the skew-symmetric part [phi] of a matrix.
 
     >>> vee(hat([1.0, 2.0, 3.0])).tolist()
     [1.0, 2.0, 3.0]
@@ -60,7 +60,7 @@ def vee(W: jax.Array) -> jax.Array:
 
 @takes(phi="vector")
 def exp(phi: jax.Array) -> jax.Array:
-    """The rotation (..., 3, 3) by |phi| about phi (..., 3).
+    """Compute the rotation matrix (..., 3, 3) of the rotation by |phi| about phi (..., 3).
 
     >>> exp([0.0, 0.0, jnp.pi / 2]).round(6).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
@@ -70,10 +70,10 @@ def exp(phi: jax.Array) -> jax.Array:
 
 @takes(R="rotation")
 def log(R: jax.Array) -> jax.Array:
-    """The rotation vector phi (..., 3), of length at most pi, with exp(phi) = R.
+    """Compute the rotation vector phi (..., 3) with exp(phi) = R and |phi| <= pi.
 
-    The angle pi is a genuine singularity: one of the two vectors is returned, and the derivative
-    is that of its branch.
+    The angle pi is a genuine singularity: one of two vectors is returned, and the derivative
+    belongs to its branch.
 
     >>> log([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
     [0.0, 3.14159..., 0.0]
@@ -83,19 +83,19 @@ def log(R: jax.Array) -> jax.Array:
 
 @takes(A="rotation", B="rotation")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
-    """Multiply rotations: A B is B followed by A (in the axes that A maps into)."""
+    """Multiply rotation matrices: A B is the rotation B followed by the rotation A."""
     return stacked(Mat3(*entries(A, 2)) @ Mat3(*entries(B, 2)), 3, 3)
 
 
 @takes(R="rotation")
 def inverse(R: jax.Array) -> jax.Array:
-    """The inverse rotation R^T."""
+    """Return the inverse rotation R^T."""
     return jnp.swapaxes(R, -1, -2)
 
 
 @takes(A="rotation", B="rotation")
 def distance(A: jax.Array, B: jax.Array) -> jax.Array:
-    """The angle (...), from 0 to pi, of the rotation from A to B.
+    """Compute the angle (...), from 0 to pi, of the rotation from A to B.
 
     >>> float(distance(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1])).round(6))
     1.0
@@ -105,7 +105,7 @@ def distance(A: jax.Array, B: jax.Array) -> jax.Array:
 
 @takes(A="rotation", B="rotation", s="scalar")
 def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
-    """A exp(s log(A^T B)): along the geodesic, A at s = 0 and B at s = 1.
+    """Interpolate along the geodesic A exp(s log(A^T B)) from A (s = 0) to B (s = 1).
 
     >>> log(interpolate(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1]), 0.5)).round(6).tolist()
     [0.0, 0.0, 0.6]
@@ -117,7 +117,7 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 
 
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
-    """Rotations (*shape, 3, 3), uniform over the group (Haar measure).
+    """Draw rotation matrices (*shape, 3, 3) uniformly over SO(3) (Haar measure).
 
     >>> random(jax.random.key(0), (5,)).shape
     (5, 3, 3)
@@ -126,10 +126,10 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
 
 
 def project(M: jax.Array) -> jax.Array:
-    """The rotation (..., 3, 3) nearest to M in the Frobenius norm (orthogonal Procrustes, polar).
+    """Compute the rotation nearest to M in the Frobenius norm (orthogonal Procrustes, polar).
 
-    It is not unique where `projection_margin` is 0. This raises `InputError` where values are
-    known. Traced code returns one of the nearest, with finite derivatives.
+    It is not unique if `projection_margin` is 0. If M is not traced, this raises `InputError`. If M
+    is traced, one of the nearest rotations is returned, with finite derivatives.
 
     >>> project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]).round(6).tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -147,9 +147,9 @@ def project(M: jax.Array) -> jax.Array:
 
 @takes(M="matrix")
 def projection_margin(M: jax.Array) -> jax.Array:
-    """(s_2 + s_3 sign(det M)) / s_1 of the singular values: how unique the nearest rotation is.
+    """Compute the margin (s_2 + s_3 sign(det M)) / s_1 from the singular values s_k of M.
 
-    2 for a rotation, 0 where several are equally near (rank 1, or a pure reflection).
+    It is 2 for a rotation, and 0 if the nearest rotation is not unique (rank 1, or a reflection).
 
     >>> float(projection_margin(jnp.diag(jnp.array([1.0, 1.0, -1.0]))))
     0.0
@@ -174,10 +174,10 @@ def _polar(M: jax.Array) -> jax.Array:
 
 @_polar.defjvp
 def _polar_jvp(primals, tangents):
-    """dR = R [w], (tr(S) 1 - S) w = vee(R^T dM - dM^T R), with S = R^T M symmetric.
+    """Compute dR = R [w] from (tr(S) 1 - S) w = vee(R^T dM - dM^T R), with S = R^T M symmetric.
 
-    The derivative of the singular vectors themselves would divide by differences of singular
-    values, which are equal for every rotation.
+    The derivative of the SVD would divide by differences of singular values, which are equal for
+    every rotation.
     """
     (M,), (dM,) = primals, tangents
     R = _polar(M)

@@ -7,7 +7,7 @@ to p ~ phi at zero, s = |p|^2 and w = cos(phi/2),
     omega_space = H p',   H = m 1 + a [p] + b [p]^2    m = 1 / p'(phi),  b = (m - sin phi / p) / s
     H^-1   = (1/m) 1 - [p]/2 + g [p]^2                 g = (1/m - (p/2) cot(phi/2)) / s
 
-and H^T for body axes. The formulas of each member below have no quotients by s left.
+For body axes it is H^T. In the formulas of each parametrization the quotients by s are cancelled.
 
     euler_vector              phi              singular (kinematics) at phi = 2 pi
     linear                    sin phi          pi/2; covers less than a quarter turn
@@ -39,17 +39,22 @@ from rbjax.rotations.coefficients import (
 
 @dataclass(frozen=True)
 class Vectorial:
-    """One p(phi): scaled p to quaternion and back; m, a, b and 1/m, g of s; the angle of p."""
+    """A vectorial parametrization, defined by p(phi).
+
+    quaternion: function of (p, s) that returns a quaternion.
+    map, inverse_map: functions of s that return (m, a, b), and (1/m, g).
+    angle: function of s that returns the rotation angle.
+    """
 
     quaternion: Callable[[list, jax.Array], list]
-    parameter: Callable[[jax.Array, list], jax.Array]  # p / u, of a quaternion with w >= 0
+    parameter: Callable[[jax.Array, list], jax.Array]  # p / u, for a quaternion (w, u), w >= 0
     map: Callable[[jax.Array], tuple]
     inverse_map: Callable[[jax.Array], tuple]
     angle: Callable[[jax.Array], jax.Array]
     singular_angle: float
     singular_set: str
-    scale: float = 1.0  # the parameter is scale p
-    short: bool = True  # few enough operations in `parameter` for a loop over p's entries
+    scale: float = 1.0  # the parameters are scale * p
+    short: bool = True  # True if `parameter` has few operations and is evaluated for each entry
 
     size = 3
 
@@ -83,7 +88,7 @@ class Vectorial:
         return polynomial(m, -0.5 * self.scale, g, p)
 
     def distance(self, x: list) -> jax.Array:
-        """The remaining rotation about the same axis up to the singularity."""
+        """Return the angle of the rotation about the same axis to the singularity."""
         return jnp.abs(self.singular_angle - self.angle(self._scaled(x)[1]))
 
     def _scaled(self, x: list) -> tuple[list, jax.Array]:
@@ -100,7 +105,7 @@ def _norm(w: jax.Array, u: list) -> jax.Array:
 
 
 def _cosine(s: jax.Array) -> jax.Array:
-    """sqrt(1 - s), never zero; beyond the largest s, its value there."""
+    """Compute sqrt(1 - s), or a tiny positive number if s >= 1."""
     return away_from_zero(length(jnp.maximum(1 - s, 0.0)))
 
 
@@ -204,9 +209,9 @@ VECTORIAL: dict[str, Vectorial] = {
 
 @takes(p="vector")
 def mrp_shadow(p: jax.Array) -> jax.Array:
-    """-p / |p|^2 (..., 3): the other modified Rodrigues parameters of the same attitude.
+    """Compute the shadow -p / |p|^2 (..., 3), the other MRP of the same attitude.
 
-    The shadow of p = 0 is at infinity: a very large vector, not a nan.
+    The shadow of p = 0 is infinite. The result is then finite, without nan.
 
     >>> mrp_shadow([0.0, 0.0, 2.0]).tolist()
     [-0.0, -0.0, -0.5]
@@ -218,7 +223,7 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
 
 @takes(p="vector")
 def mrp_short(p: jax.Array) -> jax.Array:
-    """p or its shadow, whichever is shorter: its length is at most 1, its angle at most pi.
+    """Return p or its shadow, whichever is shorter, with length at most 1 and angle at most pi.
 
     >>> mrp_short([0.0, 0.0, 2.0]).tolist(), mrp_short([0.0, 0.0, 0.5]).tolist()
     ([-0.0, -0.0, -0.5], [0.0, 0.0, 0.5])

@@ -103,7 +103,7 @@ class Columns:
 
 
 def root_mean_square(r: Any) -> np.ndarray:
-    """Compute the root mean square of each column of (samples, n), ignoring nan; nan if all are."""
+    """Compute the root mean square of each column of (samples, n), ignoring nan entries."""
     there = ~np.isnan(r)
     count = there.sum(0)
     squares = np.where(there, r, 0.0) ** 2

@@ -51,7 +51,7 @@ class Vector(AbstractGroup):
 
 
 class SO3(AbstractGroup):
-    """Group of unit quaternions (4,). Its algebra are rotation vectors (3,) in body axes."""
+    """Group of unit quaternions (4,). Its algebra is the rotation vectors (3,) in body axes."""
 
     def retract(self, y, u):
         return jnp.stack(fusion_barrier(quaternion.turned(list(y), list(u))))

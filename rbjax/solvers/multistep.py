@@ -91,7 +91,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
     @property
     @abc.abstractmethod
     def past(self) -> int:
-        """Number of history entries that the formula needs."""
+        """Number of past entries that the formula needs in the history."""
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:

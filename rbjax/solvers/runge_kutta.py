@@ -67,7 +67,8 @@ class RK4(diffrax.AbstractERK):
 
 
 class Start(NamedTuple):
-    """Rate and Jacobian at the start of a step. The Jacobian is None for matrix-free methods."""
+    """Time, state, rate and Jacobian at the start of a step. The Jacobian is None if
+    matrix-free."""
 
     t: Any
     y: jax.Array  # (n,)

@@ -192,7 +192,7 @@ class AbstractGroupSolver(AbstractPolynomialSolver):
     """Base class of solvers of terms `OnGroup`. The group of any other term is `Vector`."""
 
     def func(self, terms, t0, y0, args):
-        """Return the rate of the state's coordinates, which may differ from the algebra's."""
+        """Return the rate of the state's coordinates, e.g. of a quaternion's four components."""
         group, rate = group_of(terms), terms.vf(t0, y0, args)
         if isinstance(group, Vector):
             return rate

@@ -1,7 +1,8 @@
 """Spatial vectors and inertia (Featherstone, ch. 2).
 
-Twists, wrenches and inertias are arrays, angular part first, with leading axes as a batch. Shapes
-have mass properties. The algorithms use the same on lanes: Motion, Force, Transform, RigidInertia.
+Twists, wrenches and inertias are arrays, angular part first, with leading axes as a batch. `shapes`
+computes mass properties of solids. Motion, Force, Transform and RigidInertia are on lanes, for the
+algorithms.
 """
 
 from rbjax.spatial import operators, shapes

@@ -1,10 +1,10 @@
 """Mass, centre of mass and inertia of a rigid body, as arrays (Featherstone, 2.13; Olguin Diaz, 5).
 
-Spatial inertia about the origin of a frame, with c the centre of mass and I_c about it:
+Spatial inertia about the origin of a frame, with c the center of mass and I_c the inertia about c:
 
     I = [I_c + m [c][c]^T, m [c]; m [c]^T, m 1]        momentum = I V,   T = V . I V / 2
 
-Ten parameters are those of a body if the mass is positive and the principal moments are positive
+A body has given inertial parameters if the mass is positive, and the principal moments are positive
 and satisfy the triangle inequality A + B >= C. Both hold if the pseudo-inertia, the second moment
 of density in homogeneous coordinates, is positive definite (Wensing, Kim & Slotine 2018):
 
@@ -28,7 +28,7 @@ from rbjax.spatial.vectors import ArticulatedInertia, Motion, RigidInertia, Tran
 
 
 class MassProperties(NamedTuple):
-    """mass (...) in kg, com (..., 3) in the frame in m, inertia (..., 3, 3) about com in kg m^2."""
+    """Mass (...) in kg, com (..., 3) in m, and inertia (..., 3, 3) about the com in kg m^2."""
 
     mass: jax.Array
     com: jax.Array
@@ -36,11 +36,11 @@ class MassProperties(NamedTuple):
 
 
 class PrincipalAxes(NamedTuple):
-    """I = R diag(moments) R^T, moments ascending, R (..., 3, 3) a rotation.
+    """Principal moments (..., 3), ascending, and axes R (..., 3, 3): I = R diag(moments) R^T.
 
-    `gap` is the smallest difference between two moments, over the largest moment. It is 0 where two
-    are equal and the axes in their plane are arbitrary. Derivatives stay finite there: they keep
-    the chosen axes.
+    `gap` is the smallest difference between two moments, divided by the largest moment. If it is 0,
+    two moments are equal and the axes in their plane are arbitrary. Derivatives are then finite and
+    belong to the returned axes.
     """
 
     moments: jax.Array
@@ -50,7 +50,7 @@ class PrincipalAxes(NamedTuple):
 
 @takes(mass="scalar", com="vector", inertia="matrix")
 def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
-    """The spatial inertia I (..., 6, 6) from mass, centre of mass and the inertia about it.
+    """Compute the spatial inertia (..., 6, 6) from mass, center of mass and inertia about it.
 
     >>> spatial_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3))[0].tolist()
     [3.0, 0.0, 0.0, 0.0, -2.0, 0.0]
@@ -60,7 +60,7 @@ def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.
 
 @takes(matrix="matrix6")
 def mass_properties(matrix: jax.Array) -> MassProperties:
-    """Mass, centre of mass and the inertia about it, from a spatial inertia (..., 6, 6).
+    """Compute mass, center of mass and inertia about it from a spatial inertia (..., 6, 6).
 
     >>> m = mass_properties(spatial_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3)))
     >>> float(m.mass), m.com.tolist(), m.inertia[0].tolist()
@@ -75,7 +75,7 @@ def mass_properties(matrix: jax.Array) -> MassProperties:
 
 @takes(inertia="matrix", mass="scalar", offset="vector")
 def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax.Array:
-    """I + m [d][d]^T (Steiner): I (..., 3, 3) about the centre of mass, moved to a point at d.
+    """Compute the inertia I + m [d][d]^T about a point at the offset d from the center of mass.
 
     >>> parallel_axes(jnp.eye(3), 2.0, [0.0, 0.0, 1.0]).tolist()
     [[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]
@@ -87,7 +87,7 @@ def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax
 
 @takes(R="rotation", inertia="matrix")
 def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
-    """Rotate an inertia: R I R^T (..., 3, 3), I_A from I_B and R = R_AB."""
+    """Rotate an inertia (..., 3, 3) from the axes of B to the axes of A: I_A = R_AB I_B R_AB^T."""
     return stacked(Sym3.upper(Mat3(*entries(inertia, 2))).rotated(Mat3(*entries(R, 2))).dense, 3, 3)
 
 
@@ -95,8 +95,9 @@ def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
 def transform_properties(
     T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array
 ) -> MassProperties:
-    """The mass properties in A from those in B, with T the pose of B in A:
-    `transform_properties(T, *properties)`.
+    """Transform mass properties from a frame B to a frame A, with T the pose of B in A.
+
+    Call it as `transform_properties(T, *properties)`.
     """
     R, p = pose_parts(T)
     turned = rotate_inertia(T[..., :3, :3], inertia)
@@ -116,13 +117,13 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 
 @takes(matrix="matrix6", V="twist")
 def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
-    """The momentum I V (..., 6): [angular momentum about the origin; linear momentum]."""
+    """Compute the momentum I V (..., 6): [angular momentum about the origin; linear momentum]."""
     return matvec(matrix, V)
 
 
 @takes(matrix="matrix6", V="twist")
 def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
-    """The kinetic energy V . I V / 2 (...).
+    """Compute the kinetic energy V . I V / 2 (...).
 
     >>> float(kinetic_energy(spatial_inertia(2.0, [0.0, 0.0, 0.0], jnp.eye(3)), jnp.ones(6)))
     4.5
@@ -132,7 +133,7 @@ def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
 
 @takes(inertia="matrix")
 def principal_axes(inertia: jax.Array) -> PrincipalAxes:
-    """Principal moments (..., 3), their axes and the gap between the moments.
+    """Compute the principal moments (..., 3), their axes and the gap between the moments.
 
     >>> axes = principal_axes([[3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     >>> axes.moments.round(6).tolist(), float(axes.gap.round(6))
@@ -153,7 +154,7 @@ def _eigen(S: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @_eigen.defjvp
 def _eigen_jvp(primals: Any, tangents: Any) -> Any:
-    """d moments = diag(D), dR = R W, W_ij = D_ij / (w_j - w_i), of D = R^T dS R."""
+    """Compute d moments = diag(D) and dR = R W, with D = R^T dS R, W_ij = D_ij / (w_j - w_i)."""
     (S,), (dS,) = primals, tangents
     w, R = _eigen(S)
     Rt = jnp.swapaxes(R, -1, -2)
@@ -171,25 +172,25 @@ def _rigid(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> RigidInertia:
 
 
 def _matrix(inertia: Any) -> jax.Array:
-    """The columns I e_k of an inertia on lanes."""
+    """Convert an inertia on lanes to a matrix (..., 6, 6)."""
     unit = [[1.0 if i == k else 0.0 for i in range(6)] for k in range(6)]
     columns = [list(inertia(Motion.from_lanes(e))) for e in unit]
     return stacked([columns[j][i] for i in range(6) for j in range(6)], 6, 6)
 
 
 class Consistency(NamedTuple):
-    """The conditions as booleans, and their margins, which are negative where a condition fails."""
+    """The conditions for inertial parameters of a body, and margins, negative if one fails."""
 
     positive_definite: jax.Array  # mass and principal moments above zero
     triangle: jax.Array  # no principal moment is larger than the sum of the other two
-    realizable: jax.Array  # both, strictly: a body with volume has these numbers
-    moments: jax.Array  # (..., 3), ascending
+    realizable: jax.Array  # both conditions hold strictly, as for a body with volume
+    moments: jax.Array  # principal moments (..., 3), ascending
     triangle_margin: jax.Array  # (A + B - C) / C: 0 for a flat body, 1 at most
 
 
 @takes(mass="scalar", com="vector", inertia="matrix")
 def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
-    """The pseudo-inertia P (..., 4, 4) of mass, centre of mass and the inertia about it.
+    """Compute the pseudo-inertia P (..., 4, 4) from mass, center of mass and inertia about it.
 
     >>> jnp.diag(pseudo_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3))).tolist()
     [0.5, 0.5, 2.5, 2.0]
@@ -207,7 +208,7 @@ def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.A
 
 @takes(P="matrix4")
 def from_pseudo_inertia(P: jax.Array) -> MassProperties:
-    """Mass, centre of mass and the inertia about it, from P (..., 4, 4)."""
+    """Compute mass, center of mass and inertia about it from a pseudo-inertia P (..., 4, 4)."""
     mass, h, S = P[..., 3, 3], P[..., :3, 3], P[..., :3, :3]
     about = jnp.trace(S, axis1=-2, axis2=-1)[..., None, None] * jnp.eye(3, dtype=P.dtype) - S
     com = h / mass[..., None]
@@ -216,7 +217,7 @@ def from_pseudo_inertia(P: jax.Array) -> MassProperties:
 
 @takes(mass="scalar", inertia="matrix")
 def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
-    """The conditions that a mass (...) and an inertia (..., 3, 3) about its centre satisfy.
+    """Evaluate the consistency conditions of a mass (...) and an inertia (..., 3, 3) about the com.
 
     >>> c = consistency(1.0, jnp.diag(jnp.array([1.0, 1.0, 3.0])))
     >>> bool(c.positive_definite), bool(c.triangle), float(c.triangle_margin.round(6))
@@ -244,9 +245,10 @@ def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
 def ellipsoid_margin(
     mass: jax.Array, com: jax.Array, inertia: jax.Array, semi_axes: jax.Array, centre: jax.Array
 ) -> jax.Array:
-    """tr(P Q) / m (...): at least 0 if the mass can lie inside an ellipsoid, 1 at its centre.
+    """Compute tr(P Q) / m (...), which is at least 0 if the mass can be inside an ellipsoid.
 
-    The ellipsoid has these semi-axes (..., 3), along the axes of the frame, about `centre`.
+    It is 1 if all mass is at the center. The ellipsoid has the given semi-axes (..., 3) along the
+    axes of the frame.
 
     >>> ball = 1.0, [0.0, 0.0, 0.0], 0.4 * jnp.eye(3)
     >>> round(float(ellipsoid_margin(*ball, jnp.ones(3), jnp.zeros(3))), 6)
@@ -258,9 +260,10 @@ def ellipsoid_margin(
 
 
 def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
-    """The same numbers. `InputError` if they are known and no body can have them.
+    """Check that a body can have these mass properties, and return them.
 
-    Flat and thin bodies pass. Traced values are not checked; use `consistency` there.
+    It raises `InputError` if not. Flat and thin bodies pass. Traced values are not checked: use
+    `consistency` for them.
 
     >>> check_mass_properties(1.0, [0.0, 0.0, 0.0], jnp.diag(jnp.array([1.0, 1.0, 3.0])))
     Traceback (most recent call last):
@@ -296,6 +299,6 @@ def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -
 
 
 def _worst(found: Consistency) -> np.ndarray:
-    """The moments of the sample with the smallest margin."""
+    """Return the moments of the sample with the smallest margin."""
     moments = np.asarray(found.moments).reshape(-1, 3)
     return moments[np.argmin(np.asarray(found.triangle_margin).reshape(-1))]

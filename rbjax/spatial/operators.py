@@ -1,7 +1,7 @@
 """The cross-product operator [a], [a] b = a x b, and identities of its products.
 
-(Olguin Diaz, *3D Motion of Rigid Bodies*, appendix A.) Each function is the right-hand side of an
-identity. The tests compare it with the left-hand side.
+(Olguin Diaz, *3D Motion of Rigid Bodies*, appendix A.) Each function computes the right-hand side
+of an identity.
 
     [a]^T = -[a],  [a] b = -[b] a,  [a] a = 0            (`so3.hat`)
     [a][b]           = b a^T - (a . b) 1                 `double_cross`
@@ -36,7 +36,7 @@ from rbjax.spatial.plucker import (
 
 @takes(a="vector", b="vector")
 def double_cross(a: jax.Array, b: jax.Array) -> jax.Array:
-    """[a][b] (..., 3, 3) = b a^T - (a . b) 1.
+    """Compute [a][b] = b a^T - (a . b) 1 (..., 3, 3).
 
     >>> double_cross([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]).diagonal().tolist()
     [-1.0, -1.0, 0.0]
@@ -47,7 +47,7 @@ def double_cross(a: jax.Array, b: jax.Array) -> jax.Array:
 
 @takes(a="vector", b="vector")
 def cross_of_cross(a: jax.Array, b: jax.Array) -> jax.Array:
-    """[a x b] (..., 3, 3) = b a^T - a b^T, the commutator of [a] and [b].
+    """Compute [a x b] = b a^T - a b^T (..., 3, 3), the commutator of [a] and [b].
 
     >>> cross_of_cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])[0].tolist()
     [0.0, -1.0, 0.0]
@@ -57,13 +57,13 @@ def cross_of_cross(a: jax.Array, b: jax.Array) -> jax.Array:
 
 @takes(a="vector", b="vector")
 def triple_cross(a: jax.Array, b: jax.Array) -> jax.Array:
-    """[a][b][a] (..., 3, 3) = -(a . b) [a]."""
+    """Compute [a][b][a] = -(a . b) [a] (..., 3, 3)."""
     return -(a * b).sum(-1)[..., None, None] * so3.hat(a)
 
 
 @takes(["n"], a="vector")
 def cross_power(a: jax.Array, n: int) -> jax.Array:
-    """[a]^n (..., 3, 3), n >= 1: (-|a|^2)^k [a] or (-|a|^2)^k [a]^2.
+    """Compute the power [a]^n (..., 3, 3), n >= 1: (-|a|^2)^k [a] or (-|a|^2)^k [a]^2.
 
     >>> cross_power([0.0, 0.0, 2.0], 3)[0, 1].item()
     8.0
@@ -75,33 +75,33 @@ def cross_power(a: jax.Array, n: int) -> jax.Array:
 
 @takes(R="rotation", a="vector")
 def rotated_cross(R: jax.Array, a: jax.Array) -> jax.Array:
-    """R [a] R^T (..., 3, 3) = [R a]."""
+    """Compute R [a] R^T = [R a] (..., 3, 3)."""
     return so3.hat((R * a[..., None, :]).sum(-1))
 
 
 @takes(M="matrix", a="vector")
 def congruent_cross(M: jax.Array, a: jax.Array) -> jax.Array:
-    """M^T [M a] M (..., 3, 3) = det(M) [a] of any matrix."""
+    """Compute M^T [M a] M = det(M) [a] (..., 3, 3) for any matrix M."""
     x, y, z = Mat3(*entries(M, 2)).rows
     return x.dot(y.cross(z))[..., None, None] * so3.hat(a)
 
 
 @takes(M="matrix", a="vector")
 def cross_sum(M: jax.Array, a: jax.Array) -> jax.Array:
-    """[a] M + M^T [a] (..., 3, 3) = [(tr(M) 1 - M) a] of any matrix."""
+    """Compute [a] M + M^T [a] = [(tr(M) 1 - M) a] (..., 3, 3) for any matrix M."""
     trace = jnp.trace(M, axis1=-2, axis2=-1)[..., None]
     return so3.hat(trace * a - (M * a[..., None, :]).sum(-1))
 
 
 @takes(n="vector")
 def along(n: jax.Array) -> jax.Array:
-    """n n^T / |n|^2 (..., 3, 3): the part of a vector along n."""
+    """Compute n n^T / |n|^2 (..., 3, 3), the projection onto the direction of n."""
     return outer(n, n) / (n * n).sum(-1)[..., None, None]
 
 
 @takes(n="vector")
 def across(n: jax.Array) -> jax.Array:
-    """-[n]^2 / |n|^2 (..., 3, 3): the part of a vector orthogonal to n.
+    """Compute -[n]^2 / |n|^2 (..., 3, 3), the projection onto the plane orthogonal to n.
 
     >>> across([0.0, 0.0, 2.0]).trace().item()
     2.0
@@ -111,7 +111,7 @@ def across(n: jax.Array) -> jax.Array:
 
 @takes(a="vector", b="vector", c="vector")
 def triple_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
-    """a . (b x c) (...), the same for every cyclic order: the volume that they span.
+    """Compute the triple product a . (b x c) (...), the signed volume that the vectors span.
 
     >>> float(triple_product([1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]))
     6.0
@@ -121,18 +121,18 @@ def triple_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
 
 @takes(a="vector", b="vector", c="vector")
 def double_cross_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
-    """a x (b x c) (..., 3) = (a . c) b - (a . b) c."""
+    """Compute a x (b x c) = (a . c) b - (a . b) c (..., 3)."""
     u, v, w = (Vec3(*entries(x)) for x in (a, b, c))
     return stacked(u.dot(w) * v - u.dot(v) * w)
 
 
 @takes(T="pose", V="twist")
 def motion_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
-    """d/dt X_AB (..., 6, 6) = X_AB (V x), of a frame B with pose T and body twist V."""
+    """Compute d/dt X_AB = X_AB (V x) (..., 6, 6) for a frame B with pose T and body twist V."""
     return matmat(motion_transform(T), motion_cross_matrix(V))
 
 
 @takes(T="pose", V="twist")
 def force_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
-    """d/dt X*_AB (..., 6, 6) = X*_AB (V x*), of a frame B with pose T and body twist V."""
+    """Compute d/dt X*_AB = X*_AB (V x*) (..., 6, 6) for a frame B with pose T and body twist V."""
     return matmat(force_transform(T), force_cross_matrix(V))

@@ -6,9 +6,9 @@ which they are expressed. T (..., 4, 4) is the pose of a frame B in A: R = R_AB 
     motion  X_AB  = [R, 0; [p] R, R]       V_A = X_AB V_B
     force   X*_AB = [R, [p] R; 0, R]       F_A = X*_AB F_B        X* = X^-T
 
-X = translation(p) rotation(R): the extended operators of Olguin Diaz (who puts the linear part
-first). A motion and a force carried along by a frame of twist V change by V x m and V x* f. If only
-the point of reference changes, by r from O to P (Olguin Diaz, ch. 4-5):
+X is the product of extended_translation(p) and extended_rotation(R) of Olguin Diaz, who puts the
+linear part first. A motion m and a force f that are fixed in a frame of twist V have the rates
+V x m and V x* f. If only the reference point changes, by r from O to P (Olguin Diaz, ch. 4-5):
 
     v_P = v_O + omega x r,    n_P = n_O - r x f
 """
@@ -26,7 +26,7 @@ from rbjax.spatial.vectors import Force, Motion, Transform
 
 @takes(T="pose")
 def motion_transform(T: jax.Array) -> jax.Array:
-    """The motion transform X_AB (..., 6, 6), which is Ad(T).
+    """Compute the motion transform X_AB (..., 6, 6), which is Ad(T).
 
     >>> motion_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 2].tolist()
     [0.0, 0.0, 1.0, 0.0, -2.0, 0.0]
@@ -36,7 +36,7 @@ def motion_transform(T: jax.Array) -> jax.Array:
 
 @takes(T="pose")
 def force_transform(T: jax.Array) -> jax.Array:
-    """X*_AB (..., 6, 6).
+    """Compute the force transform X*_AB (..., 6, 6).
 
     >>> force_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 4].tolist()
     [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
@@ -59,15 +59,16 @@ def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
 
 @takes(R="rotation")
 def extended_rotation(R: jax.Array) -> jax.Array:
-    """diag(R, R) (..., 6, 6): a change of axes, for motions and for forces."""
+    """Compute diag(R, R) (..., 6, 6), the change of axes of motions and of forces."""
     r = Mat3(*entries(R, 2))
     return _blocks(r, Mat3.zero(), Mat3.zero(), r)
 
 
 @takes(p="vector")
 def extended_translation(p: jax.Array) -> jax.Array:
-    """[1, 0; [p], 1] (..., 6, 6): maps a motion at p to the origin. Its transpose maps a force at
-    the origin to p.
+    """Compute [1, 0; [p], 1] (..., 6, 6), which maps a motion at p to the origin.
+
+    Its transpose maps a force at the origin to p.
     """
     one = Mat3.identity()
     return _blocks(one, Mat3.zero(), Mat3.skew(Vec3(*entries(p))), one)
@@ -75,8 +76,9 @@ def extended_translation(p: jax.Array) -> jax.Array:
 
 @takes(omega="vector")
 def extended_cross(omega: jax.Array) -> jax.Array:
-    """diag([omega], [omega]) (..., 6, 6), with omega in body axes: d/dt extended_rotation(R) is
-    extended_rotation(R) times this.
+    """Compute diag([omega], [omega]) (..., 6, 6), with omega in body axes.
+
+    d/dt extended_rotation(R) = extended_rotation(R) extended_cross(omega)
     """
     w = Mat3.skew(Vec3(*entries(omega)))
     return _blocks(w, Mat3.zero(), Mat3.zero(), w)
@@ -84,13 +86,13 @@ def extended_cross(omega: jax.Array) -> jax.Array:
 
 @takes(V="twist")
 def motion_cross_matrix(V: jax.Array) -> jax.Array:
-    """V x = [[omega], 0; [v], [omega]] (..., 6, 6), which is ad(V)."""
+    """Compute the matrix V x = [[omega], 0; [v], [omega]] (..., 6, 6), which is ad(V)."""
     return se3.ad(V)
 
 
 @takes(V="twist")
 def force_cross_matrix(V: jax.Array) -> jax.Array:
-    """V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6)."""
+    """Compute the matrix V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6)."""
     m = _motion(V)
     w = Mat3.skew(m.ang)
     return _blocks(w, Mat3.skew(m.lin), Mat3.zero(), w)
@@ -98,7 +100,7 @@ def force_cross_matrix(V: jax.Array) -> jax.Array:
 
 @takes(V="twist", m="twist")
 def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
-    """The cross product V x m (..., 6) of motions.
+    """Compute the cross product V x m (..., 6) of motions.
 
     >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
@@ -108,7 +110,7 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
 
 @takes(V="twist", f="twist")
 def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
-    """The cross product V x* f (..., 6) of a motion and a force.
+    """Compute the cross product V x* f (..., 6) of a motion and a force.
 
     >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -125,14 +127,14 @@ def _force(F: jax.Array) -> Force:
 
 
 def _blocks(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> jax.Array:
-    """[a, b; c, d]."""
+    """Assemble the block matrix [a, b; c, d] (..., 6, 6)."""
     rows = [[*x, *y] for x, y in zip(a.rows + c.rows, b.rows + d.rows, strict=True)]
     return stacked([x for row in rows for x in row], 6, 6)
 
 
 @takes(V="twist", point="vector")
 def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
-    """The twist (..., 6) at a point from V at the origin: (omega, v + omega x r).
+    """Compute the twist (omega, v + omega x r) (..., 6) at a point from the twist V at the origin.
 
     >>> twist_at([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 2.0, 0.0]
@@ -143,7 +145,7 @@ def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
 
 @takes(F="twist", point="vector")
 def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
-    """The wrench (..., 6) at a point from F at the origin: (n - r x f, f).
+    """Compute the wrench (n - r x f, f) (..., 6) at a point from the wrench F at the origin.
 
     >>> wrench_at([0.0, 0.0, 2.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -154,7 +156,7 @@ def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
 
 @takes(f="vector", point="vector")
 def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
-    """The wrench (..., 6) at the origin of a force f (..., 3) that acts at a point: (r x f, f).
+    """Compute the wrench (r x f, f) (..., 6) at the origin of a force f (..., 3) at a point.
 
     >>> force_at([0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
@@ -165,8 +167,9 @@ def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
 
 @takes(wrenches="twist", points="vector", about="vector")
 def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> jax.Array:
-    """The sum (..., 6), at the point `about`, of wrenches (..., n, 6) that are each given at their
-    own point (..., n, 3), all in the same axes.
+    """Sum wrenches (..., n, 6) at different points (..., n, 3) to one wrench at the point `about`.
+
+    All are in the same axes.
 
     >>> couple = [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -1.0, 0.0]]
     >>> merge_wrenches(couple, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [7.0, 7.0, 7.0]).tolist()
@@ -177,7 +180,7 @@ def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> 
 
 @takes(F="twist", V="twist")
 def power(F: jax.Array, V: jax.Array) -> jax.Array:
-    """The power n . omega + f . v (...) of a wrench and a twist at the same point in the same axes.
+    """Compute the power n . omega + f . v (...) of a wrench and a twist at one point in one frame.
 
     >>> float(power([1.0, 0.0, 0.0, 0.0, 2.0, 0.0], [3.0, 0.0, 0.0, 0.0, 4.0, 0.0]))
     11.0
@@ -187,10 +190,10 @@ def power(F: jax.Array, V: jax.Array) -> jax.Array:
 
 @takes(F="twist")
 def central_axis(F: jax.Array) -> Screw:
-    """Poinsot: any wrench is a force along a line and a couple about it.
+    """Compute the central axis of a wrench: a force along a line and a couple about it (Poinsot).
 
-    `axis` and `point` are of the line, `pitch` = couple / force, `magnitude` is that of the force.
-    An infinite pitch means a pure couple with this magnitude.
+    `axis` and `point` define the line, `pitch` is couple / force, and `magnitude` is the force. For
+    a pure couple the pitch is infinite, and `magnitude` is the couple.
 
     >>> s = central_axis([0.0, 0.0, 2.0, 0.0, 1.0, 0.0])
     >>> s.axis.tolist(), s.point.tolist(), float(s.magnitude)

@@ -1,14 +1,14 @@
 """Mass, centre of mass and inertia of solids, from their dimensions and density or mass.
 
-Lengths are in m. A shape is at the origin with its axis along z; `transform_properties` moves it.
-Density is in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and everything
-is differentiable in them. `combine` joins bodies, and `hole` makes one of them empty space:
+Lengths are in m. A shape is at the origin with its axis along z. Use `transform_properties` to move
+it. Density is in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and all
+results are differentiable in them. `combine` joins bodies, and `hole` makes one of them empty:
 
     combine([box([1.0, 1.0, 1.0], density=700.0), hole(sphere(0.2, density=700.0))])
 
-The integrals over a closed triangle mesh are sums over the signed tetrahedra that its triangles
-span with one point (Mirtich, 1996). For a tetrahedron (0, a, b, c) of volume V = a . (b x c) / 6
-and s = a + b + c
+The integrals over a closed triangle mesh are sums over signed tetrahedra, each spanned by a
+triangle and one common point (Mirtich, 1996). For a tetrahedron (0, a, b, c) with volume
+V = a . (b x c) / 6 and s = a + b + c
 
     int x dV = V s / 4,    int x x^T dV = V (a a^T + b b^T + c c^T + s s^T) / 20
 """
@@ -36,14 +36,14 @@ Maybe = jax.Array | None
 
 
 def _solid(**dimensions: str) -> Callable[[Callable], Callable]:
-    """Check the dimensions of a shape, its density and its mass."""
+    """Return a decorator that checks the dimensions of a shape, its density and its mass."""
     positive = (*dimensions, "density", "mass")
     return takes(positive=positive, density="scalar", mass="scalar", **dimensions)
 
 
 @_solid(size="vector")
 def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
-    """A box with edges `size` (..., 3) about its centre.
+    """Compute the mass properties of a box with edges `size` (..., 3) and its center at the origin.
 
     >>> box([1.0, 2.0, 3.0], density=2.0).inertia.diagonal().tolist()
     [13.0, 10.0, 5.0]
@@ -55,7 +55,7 @@ def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassPr
 
 @_solid(semi_axes="vector")
 def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
-    """An ellipsoid with semi-axes (..., 3) about its centre.
+    """Compute the mass properties of an ellipsoid with semi-axes (..., 3) about its center.
 
     >>> ellipsoid([1.0, 2.0, 3.0], mass=5.0).inertia.diagonal().tolist()
     [13.0, 10.0, 5.0]
@@ -68,7 +68,7 @@ def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None
 
 @_solid(radius="scalar")
 def sphere(radius: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
-    """A ball about its centre: 2/5 m r^2.
+    """Compute the mass properties of a solid sphere about its center: I = 2/5 m r^2.
 
     >>> sphere(1.0, mass=5.0).inertia.diagonal().tolist()
     [2.0, 2.0, 2.0]
@@ -81,7 +81,7 @@ def sphere(radius: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> M
 def cylinder(
     radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
-    """A cylinder along z about its centre.
+    """Compute the mass properties of a cylinder along z about its center.
 
     >>> cylinder(1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
     [2.0, 2.0, 1.0]
@@ -97,7 +97,7 @@ def tube(
     density: Maybe = None,
     mass: Maybe = None,
 ) -> MassProperties:
-    """A tube along z about its centre, with outer and inner radius.
+    """Compute the mass properties of a tube with outer and inner radius along z about its center.
 
     >>> tube(2.0, 1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
     [4.0, 4.0, 5.0]
@@ -115,7 +115,9 @@ def tube(
 def capsule(
     radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
-    """A cylinder of `length` along z with a hemisphere at each end, about its centre.
+    """Compute the mass properties of a capsule about its center.
+
+    It is a cylinder of `length` along z with a hemisphere at each end.
 
     >>> round(float(capsule(1.0, 3.0, density=3 / jnp.pi).mass), 6)
     13.0
@@ -124,7 +126,7 @@ def capsule(
     trunk, caps = jnp.pi * r * r * l, 4 / 3 * jnp.pi * r**3
     volume = trunk + caps
     along = (trunk * r * r / 2 + caps * 2 / 5 * r * r) / volume
-    # the two hemispheres about the centre: 2/5 r^2 + l^2/4 + 3/8 r l per unit of mass
+    # the inertia of the two hemispheres about the center is 2/5 r^2 + l^2/4 + 3/8 r l, for mass 1
     across = trunk * (r * r / 4 + l * l / 12) + caps * (2 / 5 * r * r + l * l / 4 + 3 / 8 * r * l)
     across = across / volume
     return _body(volume, [0.0, 0.0, 0.0], [across, across, along], density, mass)
@@ -134,7 +136,7 @@ def capsule(
 def cone(
     radius: jax.Array, height: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
-    """A cone with its base in the plane z = 0 and its tip at z = height; com at height / 4.
+    """Compute the mass properties of a cone with its base at z = 0 and its tip at z = height.
 
     >>> cone(2.0, 4.0, mass=10.0).com.tolist(), cone(2.0, 4.0, mass=10.0).inertia[2, 2].item()
     ([0.0, 0.0, 1.0], 12.0)
@@ -147,7 +149,7 @@ def cone(
 
 @_solid(length="scalar")
 def rod(length: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
-    """A thin rod along z about its centre; density in kg/m.
+    """Compute the mass properties of a thin rod along z about its center; density in kg/m.
 
     >>> rod(2.0, mass=3.0).inertia.diagonal().tolist()
     [1.0, 1.0, 0.0]
@@ -158,7 +160,9 @@ def rod(length: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
 
 @_solid(size="pair")
 def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
-    """A thin plate with edges `size` (..., 2) along x and y about its centre; density in kg/m^2.
+    """Compute the mass properties of a thin plate about its center; density in kg/m^2.
+
+    `size` (..., 2) is the edges along x and y.
 
     >>> plate([2.0, 4.0], mass=3.0).inertia.diagonal().tolist()
     [4.0, 1.0, 5.0]
@@ -169,7 +173,7 @@ def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
 
 
 def combine(parts: Sequence[MassProperties]) -> MassProperties:
-    """Join bodies in the same frame (`transform_properties` moves them), which may be holes.
+    """Join the mass properties of bodies, which may be holes, in one common frame.
 
     >>> two = [MassProperties(jnp.array(1.0), jnp.array([x, 0.0, 0.0]), jnp.zeros((3, 3)))
     ...        for x in (-1.0, 3.0)]
@@ -191,7 +195,7 @@ def combine(parts: Sequence[MassProperties]) -> MassProperties:
 
 
 def hole(part: MassProperties) -> MassProperties:
-    """The part with negative mass and inertia: `combine` then removes it."""
+    """Return a part with negative mass and inertia, which `combine` subtracts."""
     if not isinstance(part, MassProperties):
         raise InputError(f"hole: part is {type(part).__name__}, expected MassProperties")
     return MassProperties(-part.mass, part.com, -part.inertia)
@@ -216,7 +220,7 @@ def _check_one_of(where: str, density: Any, mass: Any) -> None:
 
 
 def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
-    """A body from its volume (area, length) and its moments of inertia per unit of mass."""
+    """Compute mass properties from volume (area, length) and moments of inertia for mass 1."""
     _check_one_of("", density, mass)
     if mass is not None:
         total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))
@@ -234,8 +238,12 @@ def mesh(
     density: jax.Array | None = None,
     mass: jax.Array | None = None,
 ) -> MassProperties:
-    """The solid inside a closed surface: vertices (n, 3), triangles (m, 3) of vertex indices,
-    counter-clockwise seen from outside. Differentiable in the vertices.
+    """Compute the mass properties of the solid inside a closed triangle mesh.
+
+    Args:
+        vertices: (n, 3), m; the result is differentiable in them.
+        triangles: (m, 3) vertex indices, counter-clockwise seen from outside.
+        density, mass: exactly one of both, a scalar.
 
     Raises:
         InputError: the surface is open or inside out.
@@ -263,7 +271,7 @@ def mesh(
 
 
 def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
-    """Rigidly connected particles at positions (n, 3) with masses (n,).
+    """Compute the mass properties of rigidly connected particles at (n, 3) with masses (n,).
 
     >>> points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [1.0, 1.0]).inertia.diagonal().tolist()
     [0.0, 2.0, 2.0]
@@ -287,14 +295,14 @@ def _points(positions: jax.Array, weights: jax.Array) -> MassProperties:
 
 
 def _inertia(second: jax.Array) -> jax.Array:
-    """tr(S) 1 - S of the second moment S."""
+    """Compute the inertia tr(S) 1 - S from the second moment S."""
     return jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
 
 
 @jax.jit
 def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Volume, centroid, second moment about it."""
-    middle = vertices.mean(0)  # a point near the solid; with a far one the tetrahedra would cancel
+    """Compute the volume, the centroid and the second moment about it, for density 1."""
+    middle = vertices.mean(0)  # a point near the solid, which avoids cancellation
     a, b, c = (vertices[index[:, k]] - middle for k in range(3))
     V = (a * jnp.cross(b, c)).sum(-1) / 6
     s = a + b + c
@@ -307,7 +315,7 @@ def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Ar
 
 
 def _closed(given: Any, count: int) -> np.ndarray:
-    """The triangles, if every edge occurs once in each direction."""
+    """Check that every edge occurs equally often in both directions, and return the triangles."""
     try:
         triangles = np.asarray(given)
     except ValueError as error:

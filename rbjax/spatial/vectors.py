@@ -1,8 +1,9 @@
 """Motions, forces, Plücker transforms and inertias on lanes (Featherstone, 2 and 7.1).
 
 A motion [omega; v] and a force [n; f], angular part first, are dual: their product is a power. Both
-are at the origin of the frame in which they are expressed. `Transform(R, p)` is the pose of a child
-frame C in its parent P: R = R_PC maps C-coordinates to P-coordinates, p is C's origin in P.
+refer to the origin of the frame in which they are expressed. `Transform(R, p)` is the pose of a
+child frame C in its parent P. R = R_PC maps C-coordinates to P-coordinates, and p is the origin of
+C in P.
 
     rigid         I = [J, [h]; [h]^T, m 1],  h = m c, J about the frame's origin: 10 numbers
     articulated   I = [J, H; H^T, M],  J and M symmetric, H general: 21 numbers
@@ -18,7 +19,7 @@ from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, is_literal, is_zero, mul, n
 
 
 class _Pair:
-    """An angular and a linear Vec3."""
+    """A pair of an angular and a linear Vec3."""
 
     __slots__ = ("ang", "lin")
 
@@ -36,7 +37,7 @@ class _Pair:
 
     @classmethod
     def from_lanes(cls, lanes):
-        """From six lanes, angular first."""
+        """Make a pair from six lanes, angular part first."""
         x = tuple(lanes)
         return cls(Vec3(*x[:3]), Vec3(*x[3:]))
 
@@ -59,7 +60,7 @@ class _Pair:
     __rmul__ = __mul__
 
     def dot(self, other: _Pair) -> Lane:
-        """The scalar product of a motion and a force."""
+        """Compute the scalar product of a motion and a force."""
         return add(self.ang.dot(other.ang), self.lin.dot(other.lin))
 
     def __repr__(self) -> str:
@@ -67,23 +68,23 @@ class _Pair:
 
 
 class Motion(_Pair):
-    """Twist or spatial acceleration [omega; v]."""
+    """A twist or a spatial acceleration [omega; v]."""
 
     __slots__ = ()
 
     def cross(self, other: Motion) -> Motion:
-        """v x m, the rate of a motion carried along by v."""
+        """Compute v x m, the rate of a motion m that is fixed in a frame with twist v."""
         return Motion(
             self.ang.cross(other.ang), self.ang.cross(other.lin) + self.lin.cross(other.ang)
         )
 
     def cross_force(self, f: Force) -> Force:
-        """v x* f, the rate of a force carried along by v."""
+        """Compute v x* f, the rate of a force f that is fixed in a frame with twist v."""
         return Force(self.ang.cross(f.ang) + self.lin.cross(f.lin), self.ang.cross(f.lin))
 
 
 class Force(_Pair):
-    """Wrench or spatial momentum [n; f]."""
+    """A wrench or a spatial momentum [n; f]."""
 
     __slots__ = ()
 
@@ -105,19 +106,22 @@ class RigidInertia:
         return RigidInertia(add(self.m, other.m), self.h + other.h, self.J + other.J)
 
     def __call__(self, v: Motion) -> Force:
-        """I v: momentum from velocity, or force from acceleration."""
+        """Compute I v: momentum from velocity, or force from acceleration."""
         return Force(self.J @ v.ang + self.h.cross(v.lin), v.lin * self.m - self.h.cross(v.ang))
 
     def bias_force(self, w: Vec3) -> Force:
-        """[w x J w; w x (w x h)], the force of rotation at constant w."""
+        """Compute [w x J w; w x (w x h)], the force for rotation at constant w."""
         return Force(w.cross(self.J @ w), w.cross(w.cross(self.h)))
 
     def rotated(self, R: Mat3) -> RigidInertia:
-        """The same inertia in axes rotated by R."""
+        """Return the inertia in new axes, with R from the current to the new axes."""
         return RigidInertia(self.m, R @ self.h, self.J.rotated(R))
 
     def shifted(self, p: Vec3) -> RigidInertia:
-        """About an origin at -p (Steiner): h' = h + m p, J' = J - [p][h] - [h][p] - m [p][p]."""
+        """Return the inertia about an origin at -p (Steiner).
+
+        h' = h + m p,  J' = J - [p][h] - [h][p] - m [p][p]
+        """
         g = self.h + p * self.m
         (px, py, pz), (_, hy, hz), (gx, gy, _) = p, self.h, g
         xx, yy, zz = (mul(a, b) for a, b in zip(p, self.h + g, strict=True))
@@ -130,7 +134,7 @@ class RigidInertia:
         return RigidInertia(self.m, g, self.J + steiner)
 
     def articulated(self) -> ArticulatedInertia:
-        """The same inertia with 21 numbers."""
+        """Convert the inertia to an `ArticulatedInertia`."""
         M = Sym3(self.m, self.m, self.m, 0.0, 0.0, 0.0)
         return ArticulatedInertia(self.J, Mat3.skew(self.h), M)
 
@@ -138,7 +142,7 @@ class RigidInertia:
 @jax.tree_util.register_dataclass
 @dataclass(eq=False, slots=True)
 class ArticulatedInertia:
-    """J (symmetric), H (general), M (symmetric): force of an articulated body per acceleration."""
+    """Articulated-body inertia [J, H; H^T, M], with symmetric J and M and a general H."""
 
     J: Sym3
     H: Mat3
@@ -150,7 +154,7 @@ class ArticulatedInertia:
 
     @classmethod
     def outer(cls, U: Force, V: Force) -> ArticulatedInertia:
-        """U V^T, a term of a symmetric sum."""
+        """Compute U V^T, as a term of a symmetric sum."""
         H = Mat3(*(mul(a, b) for a in U.ang for b in V.lin))
         return cls(Sym3.outer(U.ang, V.ang), H, Sym3.outer(U.lin, V.lin))
 
@@ -158,30 +162,29 @@ class ArticulatedInertia:
         return ArticulatedInertia(self.J + other.J, self.H + other.H, self.M + other.M)
 
     def __call__(self, a: Motion) -> Force:
-        """I_A a."""
+        """Compute I_A a, the force from an acceleration."""
         return Force(self.J @ a.ang + self.H @ a.lin, self.H.T @ a.ang + self.M @ a.lin)
 
     def rotated(self, R: Mat3) -> ArticulatedInertia:
-        """The same inertia in axes rotated by R."""
+        """Return the inertia in new axes, with R from the current to the new axes."""
         return ArticulatedInertia(self.J.rotated(R), R @ self.H @ R.T, self.M.rotated(R))
 
     def shifted(self, p: Vec3) -> ArticulatedInertia:
-        """About an origin at -p: H' = H + [p] M, J' = J + [p] H'^T - H [p]."""
+        """Return the inertia about an origin at -p: H' = H + [p] M, J' = J + [p] H'^T - H [p]."""
         P = Mat3.skew(p)
         H = self.H + P @ self.M
         J = self.J + _symmetric_product(P, H.T) - _symmetric_product(self.H, P)
         return ArticulatedInertia(J, H, self.M)
 
     def less(self, U: Force, inverse_D: Lane) -> ArticulatedInertia:
-        """I - U U^T / D."""
+        """Compute I - U U^T / D."""
         return self - ArticulatedInertia.outer(U * inverse_D, U)
 
     def without(self, U: Force, inverse_D: Lane, S: Motion, armature: Lane) -> ArticulatedInertia:
-        """I_A - U U^T / D: the remaining inertia across a joint that moves freely along S.
+        """Compute I_A - U U^T / D, the inertia that remains across a joint with the free axis S.
 
-        Along S only the armature's share remains. It is exactly zero if the armature is a
-        structural zero and S is an axis. A literal zero here avoids the arithmetic and its
-        rounding.
+        If the armature is a structural zero and S is a unit vector, the row and column along S are
+        exactly zero. They become literal zeros, without arithmetic and rounding.
         """
         left, along = self.less(U, inverse_D), list(S)
         axis = all(map(is_literal, along)) and sorted(along) == [0.0] * 5 + [1.0]
@@ -191,7 +194,7 @@ class ArticulatedInertia:
         return ArticulatedInertia(self.J - other.J, self.H - other.H, self.M - other.M)
 
     def _with_zero_row(self, k: int) -> ArticulatedInertia:
-        """The same, with structural zeros in row and column k of the 6 by 6 matrix."""
+        """Return the inertia with structural zeros in row and column k of the 6 by 6 matrix."""
         pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         J, H, M = list(self.J), list(self.H), list(self.M)
         block, axis = (J, k) if k < 3 else (M, k - 3)
@@ -204,7 +207,7 @@ class ArticulatedInertia:
 
 
 def _symmetric_product(A: Mat3, B: Mat3) -> Sym3:
-    """The upper triangle of A B."""
+    """Compute the symmetric matrix with the upper triangle of A B."""
     r, c = A.rows, B.columns
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return Sym3(*(r[i].dot(c[j]) for i, j in pairs))
@@ -213,38 +216,38 @@ def _symmetric_product(A: Mat3, B: Mat3) -> Sym3:
 @jax.tree_util.register_dataclass
 @dataclass(eq=False, slots=True)
 class Transform:
-    """X_CP of a child frame with pose (R, p) in its parent."""
+    """The Plücker transform X_CP of a child frame C with pose (R, p) in its parent P."""
 
     R: Mat3
     p: Vec3
 
     @property
     def E(self) -> Mat3:
-        """R^T, which maps parent coordinates to child coordinates."""
+        """The rotation R^T, which maps parent coordinates to child coordinates."""
         return self.R.T
 
     def __call__(self, m: Motion) -> Motion:
-        """The motion in child coordinates: [E w; E (v + w x p)]."""
+        """Transform a motion from parent to child coordinates: [E w; E (v + w x p)]."""
         return Motion(self.E @ m.ang, self.E @ (m.lin + m.ang.cross(self.p)))
 
     def T(self, f: Force) -> Force:
-        """The child's force in parent coordinates: [R n + p x R f; R f]."""
+        """Transform a force from child to parent coordinates: [R n + p x R f; R f]."""
         lin = self.R @ f.lin
         return Force(self.R @ f.ang + self.p.cross(lin), lin)
 
     def motion_to_parent(self, m: Motion) -> Motion:
-        """The child's motion in parent coordinates: [R w; R v + p x R w]."""
+        """Transform a motion from child to parent coordinates: [R w; R v + p x R w]."""
         ang = self.R @ m.ang
         return Motion(ang, self.R @ m.lin + self.p.cross(ang))
 
     def rigid_to_parent(self, inertia: RigidInertia) -> RigidInertia:
-        """X^T I X of a rigid body."""
+        """Transform a rigid-body inertia from child to parent coordinates: X^T I X."""
         return inertia.rotated(self.R).shifted(self.p)
 
     def articulated_to_parent(self, inertia: ArticulatedInertia) -> ArticulatedInertia:
-        """X^T I_A X of an articulated body."""
+        """Transform an articulated-body inertia from child to parent coordinates: X^T I_A X."""
         return inertia.rotated(self.R).shifted(self.p)
 
     def then(self, child: Transform) -> Transform:
-        """The pose of the child's child in this transform's parent."""
+        """Compose poses: return the pose of a child of C in P, from its pose in C."""
         return Transform(self.R @ child.R, self.p + self.R @ child.p)

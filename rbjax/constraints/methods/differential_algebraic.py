@@ -60,9 +60,8 @@ class DifferentialAlgebraic(Method):
         return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def level_of(self, row: Row) -> tuple[Lane, int]:
-        """Return the quantity of a row that must be zero at the stages, and its number of
-        integrations. The quantity is g, which is 2 integrations from acceleration, or g', which is
-        1."""
+        """Return the residual of a row to satisfy at the stages, g or g', and its depth: the number
+        of integrations from acceleration to it, 2 or 1."""
         raise NotImplementedError(f"{type(self).__name__} has no method level_of(row)")
 
     def position_rows(self, rows: Sequence[Row]) -> list[Row]:

@@ -136,7 +136,7 @@ class Soft(Constraint):
         return self.of.rows(now)
 
     def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
-        """Compute the regularization R and the right-hand side of g'' + R f for each row."""
+        """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g."""
         low, high, width, middle, power = self.solimp.astype(dtype)
         low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
         g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])

@@ -1,1 +1,1 @@
-"""Kinematics and dynamics of trees: one algorithm a file."""
+"""Kinematics and dynamics of trees: one file for each algorithm."""

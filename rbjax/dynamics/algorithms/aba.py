@@ -1,7 +1,7 @@
 """Articulated-body algorithm: forward dynamics in O(n) (Featherstone, ch. 7).
 
-In Newton-Euler form, with the classical acceleration of each link's origin. Linear velocities are
-then not needed (Luh, Walker & Paul 1980), and forces still add as spatial forces about the origin.
+The recursion uses the classical acceleration of each link's origin (Newton-Euler form). It then
+needs no linear velocities (Luh, Walker & Paul 1980). Forces add as spatial forces about the origin.
 
     outward   w = E w_p + rate;   c = bias acceleration;   p = [w x J w; w x (w x h)]
     inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
@@ -12,7 +12,7 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
     da = M^-1 (dtau - dID(q, v, a)),
 
-one tangent of RNEA and one solve with the factors of ABA (Carpentier & Mansard 2018).
+one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 class VelocityStep(NamedTuple):
-    """A link's motion at given q and v: its pose, its bias acceleration, its bias force."""
+    """Pose X of a link in its parent, angular velocity w, and bias acceleration c at (q, v)."""
 
     X: Transform
     w: Vec3
@@ -48,7 +48,7 @@ class VelocityStep(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """The result of eliminating a joint: qdd = (u - U.a) / D."""
+    """The result of the elimination of a joint, which gives qdd = (u - U.a) / D."""
 
     X: Transform
     S: Motion
@@ -59,7 +59,7 @@ class Factor(NamedTuple):
 def eliminate(
     link: LinkConstants, S: Motion, X: Transform, I_A: ArticulatedInertia
 ) -> tuple[ArticulatedInertia, Factor]:
-    """Eliminate the joint: return the remaining inertia across it, and its factor."""
+    """Eliminate a joint. Return the articulated inertia that remains across it, and its factor."""
     U = I_A(S)
     D = add(S.dot(U), link.armature)
     if is_zero(D):
@@ -74,8 +74,11 @@ def eliminate(
 def to_parent(
     X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
 ) -> ArticulatedInertia:
-    """X^T I_a X. For a rigid link of mass m on a hinge, M = m 1 - U U^T / D (linear parts): m needs
-    no rotation, and the rank-one term is rotated as a vector."""
+    """Compute X^T I_a X, the inertia in the axes of the parent.
+
+    `mass` is the result of `rigid_mass`. If it is not None, the linear block is m 1 - U U^T / D, of
+    which only the vector U is rotated.
+    """
     if mass is None:
         return X.articulated_to_parent(I_a)
     U = X.R @ factor.U.lin
@@ -85,7 +88,7 @@ def to_parent(
 
 
 def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -> Lane | None:
-    """The mass of a link that has a hinge and no children; None for others."""
+    """Return the mass of a link that has a hinge and no children, or None for any other link."""
     tip = all(is_zero(x) for x in jax.tree.leaves((I_children, S.lin)))
     return link.inertia.m if tip else None
 
@@ -93,7 +96,7 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
 def aba(
     d: Driver, joints: Any, tau: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> tuple[Any, Any]:
-    """Accelerations per link, and the factors of the mass matrix."""
+    """Compute the joint acceleration of each link, and the factors of the mass matrix."""
 
     def outward(x, w_parent):
         link, joint, *_ = x
@@ -125,7 +128,7 @@ def aba(
 
 
 def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
-    """The factors of the mass matrix plus a diagonal `extra` (per link), without velocities."""
+    """Factorize the mass matrix plus a diagonal matrix `extra`, which is given per link."""
 
     def inward(x, I_children):
         link, joint, *more = x
@@ -140,8 +143,10 @@ def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
-    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: a
-    second copy of the factors for the outward sweep, to save registers."""
+    """Compute M^-1 tau from the factors: ABA without velocities and gravity.
+
+    `again` is an optional second copy of the factors for the outward sweep, to save registers.
+    """
     ys = eliminated(d, factors, tau)
     if again is not None:
         ys = d.zip(again, d.part(ys, 1))
@@ -149,8 +154,10 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
 
 
 def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
-    """The inward sweep of `solve`: (factor, u) per link, with u the joint force that remains after
-    the elimination of the subtree."""
+    """Run the inward sweep of `solve`. Return (factor, u) per link.
+
+    u is the joint force that remains after the elimination of the subtree of the link.
+    """
 
     def inward(x, p_A):
         factor, tau = x
@@ -161,7 +168,7 @@ def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
 
 
 def accelerated(d: Driver, left: Any) -> Any:
-    """The outward sweep of `solve`: accelerations per link, from (factor, u) per link."""
+    """Run the outward sweep of `solve`: joint accelerations from (factor, u) per link."""
 
     def outward(x, a_parent):
         factor, u = x
@@ -177,7 +184,7 @@ LEFT = ("acceleration", "factors")
 
 
 def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
-    """Name the acceleration and the factors. Transforms and axes are cheap to recompute."""
+    """Name the acceleration and the factors for `jax.checkpoint` policies (`LEFT`)."""
 
     def named(f: Factor) -> Factor:
         U, inverse_D = jax.tree.map(
@@ -197,10 +204,10 @@ def acceleration(
     tau: jax.Array,
     f_ext: LinkForces | None = None,
 ) -> jax.Array:
-    """a = M^-1 (tau - b + sum of J_i^T f_i) on checked arrays (nv, ...), with the derivative above.
+    """Compute a = M^-1 (tau - b + sum of J_i^T f_i) from checked arrays (nv, ...).
 
-    Leaves of the model and lanes of f_ext that are known while tracing are not arguments of the
-    custom derivative, so they stay known.
+    The derivative is a custom rule (see the module). Leaves of the model and lanes of f_ext that
+    are constant while tracing are not arguments of the rule, so they stay constant.
     """
     given, rebuilt = split_tracers((model, f_ext))
 
@@ -231,25 +238,25 @@ def acceleration(
 def forward_dynamics(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:
-    """Compute the acceleration of the bodies only: no actuators, force elements or constraints.
+    """Compute the acceleration of a robot without actuators, force elements and constraints.
 
-    a = M^-1 (tau - b + sum_b J_b^T w_b). `rb.acceleration` has everything in the model,
-    `rbjax.constraints.constrained_dynamics` the bodies and the constraints.
+    a = M^-1 (tau - b + sum_b J_b^T w_b). `rb.acceleration` includes everything in the model, and
+    `rbjax.constraints.constrained_dynamics` the constraints.
 
     Args:
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
+        tau: (nv,) all applied generalized forces; `applied_forces` computes the model's own.
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
 
     Returns:
-        (nv,) the rate of v; not finite where the mass matrix is singular, as with a joint that
-        moves no mass.
+        (nv,) the rate of v; not finite if the mass matrix is singular, as with a joint that moves
+        no mass.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
-        ModelError: a joint moves no mass, and this is known while tracing.
+        ModelError: a joint moves no mass, and its inertia is constant while tracing.
 
     Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7 (ABA).
 
@@ -262,7 +269,7 @@ def forward_dynamics(
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    model = with_constants(model, q.dtype)  # all samples share them: outside of the derivative rule
+    model = with_constants(model, q.dtype)  # outside of the derivative rule: samples share them
     f_ext = None
     if wrenches is not None:
         d = driver(model, q.dtype)

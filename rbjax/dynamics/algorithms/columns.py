@@ -1,10 +1,10 @@
-"""Derivatives of dynamics column by column, with one GPU thread a column.
+"""Derivatives of dynamics column by column, with one GPU thread for each column.
 
-The n x n entries of a humanoid are too long a program for one thread, and need too many registers.
-So a first kernel, with one thread a sample, writes a row of numbers for each link. In a second
-kernel each thread computes one column of all matrices, from its own link's row and the rows of all
-links, which the threads of a sample read together. M^-1 x is an inward and an outward sweep over
-ABA's factors, all in world axes. The formulas are those of ABA, `operands` and `pair_column`.
+The n x n entries of a humanoid need too long a program and too many registers for one thread.
+Therefore a first kernel, with one thread for each sample, writes a row of numbers for each link. In
+a second kernel each thread computes one column of all matrices, from the row of its own link and
+the rows of all links. M^-1 x is an inward and an outward sweep over the factors of ABA. All vectors
+are in world axes. The formulas are in `aba`, `operands` and `pair_column`.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from rbjax.model import Model, prepare
 from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform
 
-#: a row: axis S, then U and 1 / D if columns are solved, all in world axes
+#: slices of a row: axis S, then U and 1 / D if M^-1 is applied to the columns
 AXIS, FACTORS = slice(0, 6), slice(6, 13)
-#: and then the factors of `pair_matrix`: the row of `Operands`, and the second factors
+#: starts of the factors of `pair_matrix` in a row of inverse and of forward dynamics, and the
+#: length of `Operands.row`, which the second factors follow
 INVERSE, FORWARD, BELOW = 6, 13, 9
 UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 
 
 def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """The row of each link for the derivatives of inverse dynamics."""
+    """Compute the row of each link for the derivatives of inverse dynamics."""
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
     poses = tree_poses(d, joints)
@@ -50,7 +51,7 @@ def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.
 
 
 def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """a, 1 / D and U of each link in its own axes, as an array (8, nv)."""
+    """Compute qdd, 1 / D and U of each link in its own axes, as an array (8, nv)."""
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
@@ -58,7 +59,7 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
 
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
-    """The row of each link for the derivatives of forward dynamics, from `accelerations`."""
+    """Compute the rows for the derivatives of forward dynamics, from `accelerations` (`found`)."""
     d = driver(model, q.dtype)
     a, inverse_D, *U = map(d.lanes, found)
     joints = d.joints(q, None)
@@ -74,8 +75,10 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """X, U and 1 / D of each link in its own axes, where f32 keeps more digits, as (19, nv); then
-    S, if the axes depend on q."""
+    """Compute X, U and 1 / D of each link as an array (19, nv), with S appended if it varies.
+
+    They are in the axes of the link, in which float32 keeps more digits than in world axes.
+    """
     d = driver(model, q.dtype)
     X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
     moving = () if model.topology.constant_axes else (S,)
@@ -88,7 +91,7 @@ def _lane_rows(d: Driver, values: Any, like: jax.Array) -> jax.Array:
 
 
 def _seconds(pairs: tuple) -> list:
-    """The second factors of `pair_matrix`."""
+    """Return the second factors of the products of `pair_matrix`."""
     return [b for pair in pairs for _, b in pair]
 
 
@@ -103,7 +106,7 @@ def _packed(like: jax.Array, *vectors: Any) -> jax.Array:
 def inverse_by_columns(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """`inverse_dynamics_derivatives` as two kernels."""
+    """Compute `inverse_dynamics_derivatives` with two kernels."""
     model = on_threads(model, q.dtype)
     rows = _kernel(lambda *x: inverse_rows(model, *x), q, v, a)
     armature = stacked(prepare(model, v.dtype).columns.armature, v.dtype)
@@ -119,7 +122,7 @@ def inverse_by_columns(
 def forward_by_columns(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """`forward_dynamics_derivatives` as three kernels."""
+    """Compute `forward_dynamics_derivatives` with three kernels."""
     model = on_threads(model, q.dtype)
     found = compile_threads(lambda *x: accelerations(model, *x))(*batch_last((q, v, tau)))
     rows = _kernel(lambda *x: forward_rows(model, *x), q, v, found)
@@ -127,7 +130,7 @@ def forward_by_columns(
 
 
 def forward_columns(model: Model, rows: jax.Array) -> tuple[jax.Array, ...]:
-    """The matrices from the rows of the links."""
+    """Compute the derivatives of forward dynamics from the rows of the links (`forward_rows`)."""
     inward, outward = batch_first((rows, rows))
 
     def column(own, places, unit):
@@ -140,7 +143,7 @@ def forward_columns(model: Model, rows: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
-    """`inverse_mass_matrix` as two kernels."""
+    """Compute `inverse_mass_matrix` with two kernels."""
     model = on_threads(model, q.dtype)
     rows = _kernel(lambda q: inverse_mass_rows(model, q), q)
     inward, outward = batch_first((rows, rows))
@@ -171,18 +174,20 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
 
 
 def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
-    """Run f(*args) of one sample as a kernel whose results have the batch first."""
+    """Run a function f(*args) of one sample as a kernel. The results have the batch first."""
     return batch_first(compile_threads(f)(*args))
 
 
 def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Array]:
-    """Matrices (nv, nv) whose columns j are column(row of link j, its column of `which_moves`, unit
-    vector j)."""
+    """Compute matrices (nv, nv) with one thread for each column j.
+
+    column(row of link j, column j of `which_moves`, unit vector j) returns column j of each matrix.
+    """
 
     def of_link(own: jax.Array, places: jax.Array, j: jax.Array) -> list[jax.Array]:
         return column(own, places, _unit(model, j, own))
 
-    # numbers that the threads of a sample read at the same time lie side by side
+    # transposed: numbers that threads read at the same time are adjacent in memory
     places = jnp.asarray(which_moves(model.topology).T)
     return map_threads(of_link, [rows, places, _numbers(model)], [0, 1, 0])
 
@@ -198,7 +203,7 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """The entries of one column of `count` matrices, link by link."""
+    """Compute the entries of one column of `count` matrices, link by link."""
     out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))
@@ -215,7 +220,7 @@ def _lanes(row: jax.Array, some: slice) -> list[Lane]:
 
 
 def _factors(rows: jax.Array) -> list[Factor]:
-    """The factors of M in world axes."""
+    """Return the factors of M in world axes, from the rows of the links."""
 
     def factor(row):
         S, (*U, inverse_D) = _lanes(row, AXIS), _lanes(row, FACTORS)
@@ -225,7 +230,6 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
-    """Compute M^-1 x for columns x (nv, ...). A second copy of the factors for the outward sweep
-    saves registers."""
+    """Compute M^-1 x for columns x (nv, ...), from a copy of the factors for each sweep."""
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

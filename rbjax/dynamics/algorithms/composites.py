@@ -1,15 +1,15 @@
 """Links in world axes, sums over subtrees, and the factors of the derivatives of RNEA.
 
-The origin of each tree is that of its first link, so that f32 keeps its digits. With V and A the
-twist and spatial acceleration of the link that carries joint j, a tangent dq_j moves the subtree of
-j as one rigid body. So for each body k of the subtree (Singh, Russell & Wensing 2022)
+The origin of each tree is the origin of its first link, so that float32 keeps its digits. Let V and
+A be the twist and spatial acceleration of the link that carries joint j. A tangent dq_j moves the
+subtree of j as one rigid body. For each body k of the subtree (Singh, Russell & Wensing 2022)
 
     df_k / dq_j = S_j x* f_k + I_k Psi''_j + 2 B_k Psi'_j,     Psi'_j = V x S_j
     df_k / dv_j = I_k (Psi'_j + S_j') + 2 B_k S_j,             Psi''_j = A x S_j + V x Psi'_j
 
-with B of `Coriolis`. Sums of these over a subtree are composites, and an entry (i, j) is a product
-with S_i: O(n) for the composites, and O(depth) a column. If j moves i, the rotations of f and of
-S_i cancel.
+with B of `Coriolis`. The sums of these forces over subtrees are computed in O(n). An entry (i, j)
+is the product of a sum with S_i, in O(depth) for each column. If j moves i, the rotations of f and
+of S_i cancel.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
 def tree_poses(d: Driver, joints: Any) -> Any:
-    """Each link's pose in world axes, from the origin of its tree's first link."""
+    """Compute the pose of each link in world axes, from the origin of its tree's first link."""
     poses = d.whole(*sweep(d, joints, POSE))
     origins = d.take(poses, [chain[0] for chain in d.topology.ancestors])
     return d.each(lambda pose, origin: Transform(pose.R, pose.p - origin.p), poses, origins)
 
 
 def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
-    """Each link's axis S in world axes."""
+    """Compute the axis S of each link in world axes."""
     return d.each(Transform.motion_to_parent, poses, d.whole_axes(joints))
 
 
 def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
-    """The rate S' of each axis, in world axes."""
+    """Compute the time derivative S' of the axis of each link, in world axes."""
     rates = d.each(Motion.cross, axis_twists(d, V), S)
     if d.topology.constant_axes:
         return rates
@@ -48,7 +48,7 @@ def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
 
 
 def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
-    """Each link's twist V in world axes."""
+    """Compute the twist V of each link in world axes."""
 
     def step(x, V_parent):
         S, speed = x
@@ -59,20 +59,19 @@ def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
 
 
 def axis_twists(d: Driver, V: Any) -> Any:
-    """The twist T of each axis, S' = T x S: that of the link. The axes of a ball are fixed in the
-    body, so theirs is the twist of the last link."""
+    """Return the twist T of each axis, with S' = T x S: the twist of the last link of its node."""
     return d.take(V, [dof.node[-1] for dof in d.topology.dofs])
 
 
 def link_inertias(d: Driver, poses: Any) -> Any:
-    """Each link's inertia in world axes."""
+    """Compute the inertia of each link in world axes."""
     return d.each(
         lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
     )
 
 
 class Coriolis(NamedTuple):
-    """B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2 of an inertia I that moves with the twist V.
+    """B = (V x* I - I V x + (I V) x-bar*) / 2, of an inertia I that moves with the twist V.
 
     B = [K, 0; -[f], 0] with f the linear part of I V, so B V = V x* I V and B + B^T = dI/dt.
     """
@@ -82,7 +81,7 @@ class Coriolis(NamedTuple):
 
     @classmethod
     def of(cls, inertia: RigidInertia, V: Motion) -> Coriolis:
-        """K = [w] (J - tr(J) / 2) + (h . u) 1 - u h^T, where V = [w; u]."""
+        """Compute B with K = [w] (J - tr(J) / 2) + (h . u) 1 - u h^T, for V = [w; u]."""
         w, u, h, (*diagonal, xy, xz, yz) = V.ang, V.lin, inertia.h, inertia.J
         half = mul(-0.5, total(diagonal))
         angular = Mat3.skew(w) @ Sym3(*(add(x, half) for x in diagonal), xy, xz, yz)
@@ -100,16 +99,16 @@ class Coriolis(NamedTuple):
         return cls(Mat3.zero(), Vec3.zero())
 
     def __call__(self, w: Vec3) -> Force:
-        """B [w; u], which does not depend on u."""
+        """Compute the product B [w; u], which does not depend on u."""
         return Force(self.K @ w, w.cross(self.f))
 
     def transposed(self, S: Motion) -> Vec3:
-        """B^T S, whose linear part is zero."""
+        """Return the angular part of B^T S. Its linear part is zero."""
         return self.K.T @ S.ang + self.f.cross(S.lin)
 
 
 def subtree_sums(d: Driver, values: Any, zero: Any) -> Any:
-    """The sum over the subtree of each link, itself included."""
+    """Sum values over the subtree of each link, including the link."""
 
     def step(own, children):
         total = jax.tree.map(add, own, children)
@@ -119,8 +118,11 @@ def subtree_sums(d: Driver, values: Any, zero: Any) -> Any:
 
 
 class Operands(NamedTuple):
-    """The factors of `pair_matrix` for each link. Entry (i, j) is the row of link i times a column
-    of link j if j moves i, else the axis of i times a force of j."""
+    """The factors of `pair_matrix` for each link.
+
+    Entry (i, j) is the row of link i times a column of link j if j moves i. Otherwise it is the
+    axis of link i times a force of link j.
+    """
 
     force_q: Force
     force_v: Force
@@ -133,8 +135,10 @@ class Operands(NamedTuple):
 def operands(
     d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, select: Callable | None = None, *given: Any
 ) -> Any:
-    """`Operands` per link at the accelerations `a`; or select(pose, S, operands, *given) of each
-    link."""
+    """Compute `Operands` per link at the joint accelerations `a` (per link).
+
+    If `select` is given, compute select(pose, S, operands, *given) of each link instead.
+    """
     V = link_twists(d, S, v)
     base = Motion(Vec3.zero(), -d.prepared.gravity)
     before = [_before(d.topology, i) for i in range(d.topology.nv)]
@@ -175,19 +179,21 @@ def operands(
 
 
 def whole_operands(d: Driver, *args: Any) -> Operands:
-    """`operands` in the whole form."""
+    """Compute `operands` in the whole form (`Driver.whole`)."""
     return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
 
 
 def _before(top: Topology, i: int) -> int:
-    """The link whose motion moves the axis of link i if its joint is at rest: the parent of the
-    first link for a ball, else the link itself, because S x S = 0."""
+    """Return the link whose twist gives Psi' = V x S for link i.
+
+    It is the parent of the first link of a ball. Otherwise it is link i itself, because S x S = 0.
+    """
     node = top.dofs[i].node
     return i if len(node) == 1 else top.parents[node[0]]
 
 
 def inverse_pairs(S: Any, x: Operands) -> tuple:
-    """The factors of `pair_matrix` for dID/dq, dID/dv and M."""
+    """Return the factors of `pair_matrix` for dID/dq, dID/dv and M."""
     return (
         ((S, x.force_q), (x.row, x.column_q)),
         ((S, x.force_v), (x.row, x.column_v)),

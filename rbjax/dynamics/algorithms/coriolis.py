@@ -4,7 +4,7 @@ With S_i a link's unit twist, V_i its twist and B(I, V) = (V x* I - I V x + (I V
 
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
-so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`Coriolis`).
+with C v + g = b and M' = C + C^T. Two of the four blocks of B are zero (`Coriolis`).
 
 C is linear in v. Its values at the unit velocities give the coefficients of Lagrange's equations:
 
@@ -39,7 +39,7 @@ from rbjax.spatial import RigidInertia
 
 @algorithm("q", "v")
 def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The Coriolis matrix (nv, nv), with C v + gravity_forces = bias_forces and M' - 2 C skew.
+    """Compute the Coriolis matrix C, with C v + gravity_forces = bias_forces and M' - 2 C skew.
 
     Args:
         model: the robot.
@@ -81,7 +81,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 class LagrangeCoefficients(NamedTuple):
-    """The coefficients of `tau = D a + v^T H v + g` at a configuration.
+    """The coefficients of tau_i = D_ij a_j + D_ijk v_j v_k + D_i at a configuration.
 
     - inertia: D_ij (nv, nv); D_ii is the effective inertia of dof i, D_ij couples i and j.
     - velocity: D_ijk (nv, nv, nv), symmetric in j and k; D_ijj is centripetal, the others Coriolis.

@@ -26,14 +26,14 @@ from rbjax.spatial import Force, RigidInertia
 
 
 def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
-    """One step: the link's pose in its parent, its composite inertia, and F = I_c S."""
+    """Run one inward step. Return the pose of a link in its parent, I_c and F = I_c S."""
     link, joint = x
     I_c = link.inertia + children
     return joint.transform(link), I_c, I_c(joint.S)
 
 
 def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
-    """Rows of lanes; each F moves to the root separately."""
+    """Compute M as rows of lanes. Each F is transformed to the root separately."""
 
     def step(x, children):
         X, I_c, F = composite(x, children)
@@ -56,7 +56,7 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
 
 
 def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
-    """All F and S in world axes, and M as one masked sum of six outer products."""
+    """Compute M as one masked sum of six outer products of F and S in world axes."""
     d.unroll = 2  # the steps are small
     poses = tree_poses(d, joints)
     S = link_axes(d, poses, joints)
@@ -66,13 +66,13 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
 
 
 def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
-    """M as an array (nv, nv)."""
+    """Compute the mass matrix M (nv, nv) from the joint motions."""
     return packed(_listed(d, joints), like) if d.listed else _by_columns(d, joints, like)
 
 
 @algorithm("q", long=True)
 def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
-    """The mass matrix M(q) (nv, nv): kinetic energy = v^T M v / 2, armature included.
+    """Compute the mass matrix M(q), including armature: kinetic energy = v^T M v / 2.
 
     Args:
         model: the robot.

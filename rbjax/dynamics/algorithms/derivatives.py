@@ -2,8 +2,8 @@
 
     d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
 
-with dq on the tangent space of the configuration (`integrate`). An entry is a product of the
-`operands` of two links. For forward dynamics the columns are solved with ABA's factors
+with dq in the tangent space of the configuration (`integrate`). An entry is a product of the
+`operands` of two links. For forward dynamics M^-1 is applied to the columns with the factors of ABA
 (inverse.py). On a GPU, a batch of a large robot is computed column by column (columns.py). If an
 axis is not constant in its link (`Node`), JAX differentiates the dynamics.
 """
@@ -37,7 +37,7 @@ Derivatives = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class InverseDynamicsDerivatives(NamedTuple):
-    """Derivatives of tau by q (tangent), v and a, each (nv, nv). The last is the mass matrix."""
+    """Derivatives (nv, nv) of tau with respect to q (tangent), v and a. The last is M."""
 
     q: jax.Array
     v: jax.Array
@@ -45,7 +45,7 @@ class InverseDynamicsDerivatives(NamedTuple):
 
 
 class ForwardDynamicsDerivatives(NamedTuple):
-    """Derivatives of a by q (tangent), v and tau, each (nv, nv). The last is M^-1."""
+    """Derivatives (nv, nv) of a with respect to q (tangent), v and tau. The last is M^-1."""
 
     q: jax.Array
     v: jax.Array
@@ -66,9 +66,9 @@ def _forward_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
-    """Differentiate `inverse_dynamics`, of the bodies only: no force elements or constraints.
+    """Differentiate `inverse_dynamics`, without force elements and constraints.
 
-    tau = ID(q, v, a): derivatives `(q, v, a)`, each (nv, nv), q on the tangent space.
+    Of tau = ID(q, v, a) it returns the derivatives (nv, nv) by q (tangent space), v and a.
 
     Args:
         model: the robot.
@@ -102,9 +102,9 @@ def inverse_dynamics_derivatives(
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
-    """Differentiate `forward_dynamics`, of the bodies only: no force elements or constraints.
+    """Differentiate `forward_dynamics`, without force elements and constraints.
 
-    a = FD(q, v, tau): derivatives `(q, v, tau)`, each (nv, nv), q on the tangent space.
+    Of a = FD(q, v, tau) it returns the derivatives (nv, nv) by q (tangent space), v and tau.
     `rb.linearise` differentiates the motion with everything in the model.
 
     Args:
@@ -128,8 +128,10 @@ def forward_dynamics_derivatives(
 def accelerated_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> tuple[jax.Array, ForwardDynamicsDerivatives]:
-    """a = FD(q, v, tau) and its derivatives, of checked arrays. If the joint axes are constant
-    (`straight`), both share one ABA."""
+    """Compute a = FD(q, v, tau) and its derivatives from checked arrays.
+
+    If the joint axes are constant (`Topology.constant_axes`), both share one ABA.
+    """
     if not model.nv:
         none = jnp.zeros((0, 0), q.dtype)
         return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)
@@ -148,19 +150,19 @@ def accelerated_derivatives(
 
 
 def differentiated_inverse(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> Derivatives:
-    """d ID / dq (tangent), d ID / dv, M, each (nv, nv)."""
+    """Compute dID/dq (tangent), dID/dv and M by differentiation with JAX, each (nv, nv)."""
     return (*_by_state(inverse_dynamics, model, q, v, a), mass_matrix(model, q))
 
 
 def differentiated_forward(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> Derivatives:
-    """d FD / dq (tangent), d FD / dv, M^-1, each (nv, nv)."""
+    """Compute dFD/dq (tangent), dFD/dv and M^-1 by differentiation with JAX, each (nv, nv)."""
     return (*_by_state(forward_dynamics, model, q, v, tau), inverse_mass_matrix(model, q))
 
 
 def _by_state(
     f: Callable, model: Model, q: jax.Array, v: jax.Array, given: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """df/dq (tangent) and df/dv of f(model, q, v, given)."""
+    """Compute df/dq (tangent) and df/dv of f(model, q, v, given) with JAX."""
 
     def moved(dq: jax.Array, v: jax.Array) -> jax.Array:
         return f(model, integrate(model, q, dq), v, given)

@@ -3,14 +3,14 @@
     T = v^T M v / 2 = sum of V.(I V) / 2 + armature v^2 / 2;   U = -sum of m g.c
     h_G = [sum of I_b w + m (c_b - c) x v_b;  sum of m v_b]      (Orin, Goswami & Lee 2013)
 
-The momentum p = M(q) v needs no M, and its rate no accelerations. V_i is the twist of a link, h_i
-the momentum of its subtree, and f_i the weight of the subtree plus the external forces on it:
+The generalized momentum p = M(q) v is computed without M, and its rate without accelerations. V_i
+is the twist of a link, h_i the momentum of its subtree, and f_i the weight of the subtree plus the
+external forces on it:
 
     p_i  = S_i.h_i + armature v_i
     p'_i = S_i.(f_i - V_i x* h_i) + S'_i.h_i + tau_i    (dL/dq_i + tau_i; of attitudes less w x p)
 
-(Featherstone, 2.9 and 2.12, for the subtree of a joint: its axis moves at V x S + S', where S' is
-its rate in the link.)
+(Featherstone, 2.9 and 2.12, for the subtree of a joint, with S' the rate of the axis in its link.)
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from rbjax.spatial import Force, Motion
 
 @algorithm("q", "v")
 def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The kinetic energy v^T M(q) v / 2 in joules, armature included, in O(n).
+    """Compute the kinetic energy v^T M(q) v / 2 in joules, including armature, in O(n).
 
     Args:
         model: the robot.
@@ -66,7 +66,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def potential_energy(model: Model, q: jax.Array) -> jax.Array:
-    """The potential energy of gravity in joules (of springs: `rbjax.forces.elastic_energy`).
+    """Compute the potential energy of gravity in joules, without springs.
 
     Args:
         model: the robot.
@@ -84,7 +84,7 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
-    """The centre of mass (3,) of all bodies, in the world, in metres.
+    """Compute the center of mass (3,) of all bodies, in the world, in metres.
 
     Args:
         model: the robot.
@@ -102,7 +102,7 @@ def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
 
 @algorithm("q", "v")
 def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """Momentum (6,) of all bodies: [angular, about the centre of mass; linear], world axes.
+    """Compute the momentum (6,) of all bodies about their center of mass: [angular; linear].
 
     Args:
         model: the robot.
@@ -131,7 +131,7 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _centres(model: Model, q: jax.Array):
-    """Poses, positions of the centres of mass in the world (nb, 3), masses (nb,)."""
+    """Compute poses, positions of the centers of mass in the world (nb, 3), and masses (nb,)."""
     poses = forward_kinematics(model, q)
     bodies = model.bodies
     com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))
@@ -145,7 +145,7 @@ def momentum_and_rate(
     tau: jax.Array,
     f_ext: LinkForces | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """The generalized momentum p = M(q) v and its rate (nv, ...), of checked arrays."""
+    """Compute the generalized momentum p = M(q) v and its rate (nv, ...) from checked arrays."""
 
     def outward(x, parent):
         link, joint, _, _ = x
@@ -172,7 +172,7 @@ def momentum_and_rate(
 
 
 def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
-    """The velocity M(q)^-1 p (nv, ...) of a momentum, of checked arrays, with the derivative
+    """Compute the velocity v = M(q)^-1 p (nv, ...) from checked arrays, with the derivative
 
     dv = M^-1 (dp - d(M(q) v)),   v held constant.
     """
@@ -203,11 +203,12 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
 def linearly_implicit_velocity(
     model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
 ) -> Callable[[jax.Array], jax.Array]:
-    """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...), with derivatives by p only.
+    """Return the function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...).
 
-    All calls share one elimination. `extra`: dof -> lane.
+    All calls share one elimination. Derivatives are with respect to p only. `extra` maps a dof to
+    the lane that is added to the diagonal.
     """
-    moving, closed = split_tracers(model)  # known leaves stay known
+    moving, closed = split_tracers(model)  # constant leaves stay constant
     still, q = closed(jax.lax.stop_gradient(moving)), jax.lax.stop_gradient(q)
     d = driver(still, q.dtype)
     found = factorize(d, d.joints(q, None), d.scattered(extra or {}, 0.0))

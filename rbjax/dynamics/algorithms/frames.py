@@ -4,8 +4,8 @@
     J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link at constant v
 
 The link that carries the frame has the twist [w; u] and the classical acceleration [w'; u'] at its
-own origin; r is the vector from there to the point. Column i of J is [z_i; z_i x (p - p_i)] for a
-hinge and [0; z_i] for a slide. Angular first, world axes. (Featherstone, 2.11; Lynch & Park, 5.1.)
+own origin, and r is the vector from there to the point. Vectors are in world axes. Column i of J is
+[z_i; z_i x (p - p_i)] for a hinge, [0; z_i] for a slide (Featherstone, 2.11; Lynch & Park, 5.1).
 """
 
 from __future__ import annotations
@@ -29,14 +29,16 @@ from rbjax.model import WORLD, Frame, Model, Topology, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Motion, Transform
 
-#: a longer path to a frame runs on the model's driver. An unrolled link takes 0.06 s to compile,
-#: its gradient 0.3 s in a chain of 60; the path of a robot has 16 links at most
+#: a path to a frame with more links runs on the model's driver, because unrolled code compiles
+#: slowly
 PATH_UNROLLED_UP_TO = 24
 
 
 def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int, Transform]:
-    """Return the body of a frame (or WORLD) and the pose of the frame in it. `where` is the caller
-    in messages; `like` has the dtype of the lanes."""
+    """Return the body of a frame (or WORLD) and the pose of the frame in the body.
+
+    `where` is the name of the caller in messages. `like` has the dtype of the lanes.
+    """
     body, point, site = frame
     if (body is None) == (site is None):
         got = "neither" if body is None else "both"
@@ -54,8 +56,7 @@ def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int
 def locate_on_link(
     where: str, model: Model, d: Driver, like: jax.Array, frame: Frame
 ) -> tuple[int, Vec3]:
-    """Return the link that carries a frame (or WORLD) and the frame's origin in the link's axes.
-    Arguments as for `locate`."""
+    """Return the link that carries a frame (or WORLD) and the origin of the frame in the link."""
     b, pose = locate(where, model, like, frame)
     if b == WORLD:
         return WORLD, pose.p
@@ -64,7 +65,7 @@ def locate_on_link(
 
 
 def ancestor_mask(top: Topology, link: int) -> np.ndarray:
-    """(nv,) whether each dof moves the link."""
+    """Return the mask (nv,) of the dofs that move a link."""
     mask = np.zeros(top.nv, bool)
     if link != WORLD:
         mask[list(top.ancestors[link])] = True
@@ -80,15 +81,14 @@ def frame_pose(
     *,
     site: str | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Pose in the world of the frame of a body or site: R (3, 3), p (3,).
+    """Compute the pose R (3, 3), p (3,) of the frame of a body or site in the world.
 
-    Only the links from the base to the frame are computed. Up to `PATH_UNROLLED_UP_TO` of them are
-    unrolled with any driver.
+    Only the links from the base to the frame are computed.
 
     Args:
         model: the robot.
         q: (nq,) configuration.
-        body: the name of a body, or an `rb.Frame`; "world" is the frame that does not move.
+        body: the name of a body, or an `rb.Frame`; "world" is the fixed frame.
         point: (3,) m in the frame of the body or site: p is its position; the origin if None.
         site: the name of a site, instead of a body.
 
@@ -96,8 +96,8 @@ def frame_pose(
         R (3, 3), from the axes of the body or site to world axes, and p (3,) m.
 
     Raises:
-        UnknownName: no such body or site; the message lists the names. InputError: both or neither
-            given; a wrong shape.
+        UnknownName: no such body or site; the message lists the names.
+        InputError: both or neither of body and site given; a wrong shape.
 
     Source: Featherstone, 4.4.
 
@@ -129,7 +129,7 @@ def _point_motion(
     quantities: tuple,
     motion: Callable[..., Motion],
 ) -> jax.Array:
-    """motion(r, *quantities of the link that carries the frame) as an array (6,)."""
+    """Compute motion(frame origin in the link, *quantities of the link) as an array (6,)."""
     q, v = state
     d = driver(model, q.dtype)
     link, r = locate_on_link(where, model, d, q, frame)
@@ -150,9 +150,9 @@ def frame_velocity(
     *,
     site: str | None = None,
 ) -> jax.Array:
-    """Twist (6,) of a point of a body or site: [angular; linear] in world axes, V = J v.
+    """Compute the twist (6,) of a point of a body or site: [angular; linear] in world axes.
 
-    The cost is one sweep from the root, without a Jacobian.
+    It is V = J v, computed by one sweep from the root, without a Jacobian.
 
     Args:
         model: the robot.
@@ -195,7 +195,7 @@ def frame_bias_acceleration(
     *,
     site: str | None = None,
 ) -> jax.Array:
-    """J'(q, v) v (6,): the acceleration of a point of a body or site at constant v.
+    """Compute J'(q, v) v (6,), the acceleration of a point of a body or site at constant v.
 
     This is the classical acceleration, the rate of `frame_velocity`. If the robot accelerates at a,
     the point accelerates at J a + J' v. Gravity is not included. The cost is one sweep from the
@@ -242,8 +242,10 @@ def _jacobian(
     frame: Frame,
     columns: Callable[..., Any],
 ) -> jax.Array:
-    """The matrix (6, nv) whose columns are columns(d, joints, link, r, moves) in the whole form.
-    `moves` is 1 for each dof that moves the link, else 0."""
+    """Compute the matrix (6, nv) with the columns columns(d, joints, link, r, moves).
+
+    `moves` is 1 for each dof that moves the link, else 0. r is the frame's origin in the link.
+    """
     q, v = state
     d = driver(model, q.dtype)
     link, r = locate_on_link(where, model, d, q, frame)
@@ -263,7 +265,7 @@ def jacobian(
     *,
     site: str | None = None,
 ) -> jax.Array:
-    """Jacobian (6, nv) of a point of a body or site: [angular; linear] in world axes, V = J v.
+    """Compute the Jacobian (6, nv) of a point of a body or site, with V = J v.
 
     Args:
         model: the robot.
@@ -273,12 +275,12 @@ def jacobian(
         site: the name of a site, instead of a body.
 
     Returns:
-        (6, nv); zero where a coordinate does not move the point.
+        (6, nv) [angular; linear] in world axes; zero for coordinates that do not move the point.
 
     Raises:
         UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
 
-    Source: Lynch & Park, *Modern Robotics*, 5.1 (there at the world's origin).
+    Source: Lynch & Park, *Modern Robotics*, 5.1 (who refer V to the world's origin).
 
     Example:
         >>> import rbjax as rb
@@ -310,9 +312,9 @@ def jacobian_rate(
     *,
     site: str | None = None,
 ) -> jax.Array:
-    """J'(q, v) (6, nv), the rate of `jacobian` while the robot moves at v.
+    """Compute J'(q, v) (6, nv), the time derivative of `jacobian` while the robot moves at v.
 
-    With u the velocity of a link's origin and w the angular velocity of its axis z,
+    With u the velocity of a link's origin and w the angular velocity of its axis z, it uses
     z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v.
 
     Args:
@@ -373,7 +375,7 @@ def jacobian_rate(
 
 @algorithm("q", "wrenches")
 def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.Array:
-    """Generalized forces (nv,) of wrenches on bodies, by virtual work: tau = sum_b J_b^T w_b.
+    """Compute the generalized forces (nv,) of wrenches on bodies: tau = sum_b J_b^T w_b.
 
     Args:
         model: the robot.

@@ -1,14 +1,14 @@
 """The inverse of the mass matrix in factors, from the articulated-body algorithm.
 
-With U_i, D_i of each joint (aba.py), M = L^T D L where L_ij = U_i . S_j / D_i for each j that
-carries i: triangular, with entries only where one link carries the other (Featherstone, 6.5). Its
-inverse P has the same pattern:
+With U_i and D_i of each joint (aba.py), M = L^T D L with L_ij = U_i . S_j / D_i for each link j
+that carries i. L is triangular, and its entries are zero unless j carries i (Featherstone, 6.5).
+The inverse P of L has the same pattern:
 
     M^-1 = P D^-1 P^T,   P_ij = -sum over k from j to the parent of i of L_ik P_kj,   P_jj = 1
 
-As motions of the links, column j holds the accelerations that follow a unit acceleration of joint j
-when nothing drives the others (Carpentier 2018): P_ij = -U_i . a_parent / D_i with
-a_i = a_parent + S_i P_ij. All vectors are in world axes, so the sweep transforms nothing.
+Column j of P contains the accelerations of all joints that a unit acceleration of joint j causes if
+no other joint is driven (Carpentier 2018): P_ij = -U_i . a_parent / D_i with
+a_i = a_parent + S_i P_ij. All vectors are in world axes, so the sweep needs no transforms.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from rbjax.spatial import Motion
 
 
 class InverseMass:
-    """M^-1 = P D^-1 P^T. `P[i][j]` has entries for j = i and for each link j that carries i."""
+    """The inverse M^-1 = P D^-1 P^T. P[i][j] is zero unless j is i or a link that carries i."""
 
     def __init__(self, d: Driver, poses: Any, S: Any, U: Any, inverse_D: Any, like: jax.Array):
-        """poses and S in world axes, in the form of `Driver.whole`; U and 1 / D per link."""
+        """Compute P from poses and S (whole form, world axes), and U and 1 / D (per link)."""
         self.d, self.like = d, like
         n = d.topology.nv
         self.carriers = list(enumerate(d.topology.ancestors))
@@ -60,7 +60,7 @@ class InverseMass:
         return P
 
     def solve(self, columns: Sequence[Sequence[Lane]], row: Sequence[Lane]) -> list[list[Lane]]:
-        """-M^-1 x of each column x, and P D^-1 y of a row y of P, which is a column of M^-1."""
+        """Compute -M^-1 x for each column x, and column j of M^-1 from row j of P."""
         P = self.P
 
         def driven(x):
@@ -75,7 +75,7 @@ class InverseMass:
         return [moved(y) for y in fusion_barrier([scaled(y) for y in (*map(driven, columns), row)])]
 
     def __call__(self, *pairs: Any) -> list[jax.Array]:
-        """-M^-1 X for each X = `pair_matrix(d, *pair)`, then M^-1 itself."""
+        """Compute -M^-1 X for each matrix X = `pair_matrix(d, *pair)`, and M^-1 as the last one."""
         d, n, like = self.d, self.d.topology.nv, self.like
         count = len(pairs) + 1
         flat = jnp.zeros(count * n, like.dtype)
@@ -98,7 +98,7 @@ class InverseMass:
 
 
 def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
-    """P as an array, all columns side by side."""
+    """Compute P as an array (nv, nv), with one outward sweep for all columns."""
 
     def follow(x, a_parent):
         S, U, unit = x
@@ -114,7 +114,7 @@ def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
 
 @algorithm("q", pairs=True, multi_kernel=inverse_mass_by_columns)
 def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
-    """The inverse mass matrix M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
+    """Compute the inverse mass matrix M(q)^-1 (nv, nv), with ABA in O(n) for each column.
 
     Args:
         model: the robot.

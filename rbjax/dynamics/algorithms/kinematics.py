@@ -25,15 +25,14 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 class Poses(NamedTuple):
-    """Attitude R (nb, 3, 3), body to world axes, and position p (nb, 3) of each body's frame."""
+    """Rotation R (nb, 3, 3), body to world axes, and position p (nb, 3) of each body's frame."""
 
     R: jax.Array
     p: jax.Array
 
 
 class Hop(NamedTuple):
-    """One outward step: the pose X of a link in its parent, the motion of its joint, and its joint
-    acceleration, 0.0 if the sweep has none."""
+    """The input of an outward step: pose X of a link in its parent, its joint motion, and qdd."""
 
     X: Transform
     joint: JointMotion
@@ -41,16 +40,18 @@ class Hop(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity of links by recursion: `root`, its value in the world, and `step(hop, value of
-    the parent)`."""
+    """A quantity of links that is computed by an outward recursion.
+
+    root: value of the world.
+    step: function of (hop, value of the parent) that returns the value of a link.
+    """
 
     root: Any
     step: Callable[[Hop, Any], Any]
 
 
 def velocity_bias(joint: JointMotion, X: Transform, w_parent: Vec3) -> tuple[Vec3, Motion]:
-    """The angular velocity of a link, and its bias acceleration (centripetal, Coriolis,
-    gyroscopic)."""
+    """Compute the angular velocity of a link, and its acceleration at qdd = 0 and a_parent = 0."""
     turned = X.E @ w_parent
     w = turned + joint.rate
     centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
@@ -64,24 +65,24 @@ def _acceleration(hop: Hop, parent: tuple[Vec3, Motion]) -> tuple[Vec3, Motion]:
     return w, hop.X(a_parent) + bias + hop.joint.S * hop.qdd
 
 
-#: the attitude of a link in the world
+#: the rotation of a link in the world
 ROTATION = Quantity(Mat3.identity(), lambda hop, R: R @ hop.X.R)
-#: its pose in the world
+#: the pose of a link in the world
 POSE = Quantity(Transform(Mat3.identity(), Vec3.zero()), lambda hop, pose: pose.then(hop.X))
-#: its twist in its own axes, at its origin
+#: the twist of a link in its own axes, at its origin
 TWIST = Quantity(Motion.zero(), lambda hop, V: hop.X(V) + hop.joint.twist)
-#: its angular velocity, and its angular acceleration with the classical acceleration of its origin,
-#: in its own axes
+#: the angular velocity of a link, and a `Motion` of its angular acceleration and the classical
+#: acceleration of its origin, in its own axes
 ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
-    """`ACCELERATION` on a base with the acceleration a: -g for gravity g."""
+    """Return `ACCELERATION` for a base with the acceleration a, which is -g for gravity g."""
     return ACCELERATION._replace(root=(Vec3.zero(), a))
 
 
 def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple[Any, ...]:
-    """The outward recursion over the tree: each quantity, per link. a: accelerations per link."""
+    """Compute quantities of all links by one outward sweep. `a` is joint accelerations per link."""
 
     def step(x, parents):
         link, joint, *qdd = x
@@ -94,7 +95,7 @@ def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
-    """The pose of each body, from the poses of the links in the whole form."""
+    """Compute the pose of each body from the poses of the links, both in the whole form."""
     top = d.topology
     if d.listed:
         welds = [d.prepared.weld(b) for b in range(top.nb)]
@@ -115,7 +116,7 @@ def body_transforms(d: Driver, poses: Any) -> Any:
 
 @algorithm("q")
 def forward_kinematics(model: Model, q: jax.Array) -> Poses:
-    """Poses of all bodies in the world.
+    """Compute the poses of all bodies in the world.
 
     R_WC = R_WP R_PC, p_WC = p_WP + R_WP p_PC.
 
@@ -149,9 +150,9 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
 
 @algorithm("q", "v")
 def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """Twists of all bodies (nb, 6): [angular; linear] in world axes, at each body's frame origin.
+    """Compute the twists of all bodies (nb, 6), at the origins of their frames in world axes.
 
-    V_b = J_b(q) v.
+    A twist is [angular; linear], V_b = J_b(q) v.
 
     Args:
         model: the robot.
@@ -187,45 +188,47 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force:
-    """The sums of forces on these links, which may repeat, as columns over all links."""
+    """Sum forces on the given links as columns over all links. `links` may contain repeats."""
     nothing = jnp.zeros(d.topology.nv, dtype)
     return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 
 
 class LinkMotion:
-    """Poses, twists and accelerations of single links at (q, v, a), each computed on first use.
+    """Poses, twists and accelerations of single links at (q, v, a), computed on first use.
 
-    For force elements that need a few links, such as a spring between two points. The recursions
-    run along the path from the base to the link. `columns` and `scattered` are for elements on many
-    bodies. v None is at rest, a None is zero.
+    Use it for force elements on a few links, such as a spring between two points: the recursions
+    run along the path from the base to a link. Use `columns` and `scattered` for elements on many
+    bodies. v = None and a = None mean zero.
     """
 
     def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None):
         self.driver, self._q, self._v, self._a = d, q, v, a
-        #: quantity -> its values by link, or its columns
+        #: quantity -> computed values by link, or columns
         self._found: dict[Quantity, Any] = {}
 
     def accelerating(self, a: jax.Array) -> LinkMotion:
-        """The same motion with the accelerations a (nv,)."""
+        """Return a copy with the accelerations a (nv,)."""
         out = copy.copy(self)
         out._a, out._found = a, {k: x for k, x in self._found.items() if k is not ACCELERATION}
         return out
 
     def pose(self, link: int) -> Transform:
-        """The pose of the link in the world."""
+        """Return the pose of a link in the world."""
         return self._of(POSE, link)
 
     def twist(self, link: int) -> Motion:
-        """The twist of the link in its own axes, at its origin."""
+        """Return the twist of a link in its own axes, at its origin."""
         return self._of(TWIST, link)
 
     def acceleration(self, link: int) -> Motion:
-        """The angular acceleration of the link and the classical acceleration of its origin, in its
-        own axes, without gravity."""
+        """Return the angular acceleration of a link and the classical acceleration of its origin.
+
+        They are in the axes of the link, without gravity.
+        """
         return self._of(ACCELERATION, link)[1]
 
     def _of(self, quantity: Quantity, link: int) -> Any:
-        """A quantity of a link: the recursion along the links from the base to it."""
+        """Compute a quantity of a link by recursion along the path from the base to the link."""
         if link == WORLD:
             return quantity.root
         if not self.driver.listed:
@@ -244,31 +247,31 @@ class LinkMotion:
         return found[link]
 
     def to_parent(self, link: int) -> tuple[Transform, Motion]:
-        """The pose of a link in its parent, and the axis of its joint."""
+        """Return the pose of a link in its parent, and the axis S of its joint."""
         joint, constants = self._links[link]
         return joint.transform(constants), joint.S
 
     def axis(self, link: int) -> Motion:
-        """The axis S of a link in its own axes, if links are columns."""
+        """Return the axis S of a link in its own axes, for drivers whose whole form is columns."""
         if self.driver.topology.constant_axes:
             kind = self.driver.topology.dofs[link].kind
             return kind.axis(self.driver.prepared.link(link).params)
         return _row(self._axes, link)
 
     def weld(self, body: int) -> Transform:
-        """The pose of a body in the link that carries it."""
+        """Return the pose of a body in the link that carries it."""
         return self.driver.prepared.weld(body)
 
     def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
-        """For bodies that can move, as columns over them: the pose and the twist of the links that
-        carry them, and their poses in these links."""
+        """Return, as columns over bodies that can move, the pose and the twist of the link that
+        carries each body, and the pose of the body in this link."""
         links = np.array(self.driver.topology.body_links)[bodies]
         pose, twist = (_row(self._columns(x), links) for x in (POSE, TWIST))
         welds = self.driver.prepared.welds
         return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
 
     def column(self, column: Any, rows: np.ndarray) -> Lane:
-        """Rows of a column; a literal if they are known and equal."""
+        """Return rows of a column, or a literal if the rows are constant and equal."""
         if not isinstance(column, np.ndarray):
             return column[rows]
         found = np.asarray(column[rows], np.float64)
@@ -276,13 +279,13 @@ class LinkMotion:
         return float(found[0]) if equal else jnp.asarray(found, self._q.dtype)
 
     def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
-        """Forces on the links that carry these bodies, as columns over all links."""
+        """Sum forces on the links that carry the given bodies, as columns over all links."""
         links = np.array(self.driver.topology.body_links)[bodies]
         return over_links(self.driver, links, forces, self._q.dtype)
 
     @cached_property
     def joints(self) -> Any:
-        """The joint motion of each link, per link."""
+        """The joint motions, per link."""
         return self.driver.joints(self._q, self._v)
 
     @cached_property
@@ -291,7 +294,7 @@ class LinkMotion:
         return list(zip(d.whole(self.joints), d.whole(d.constants), strict=True))
 
     def _columns(self, quantity: Quantity) -> Any:
-        """A quantity of all links, as columns. Pose and twist share one sweep."""
+        """Compute a quantity of all links as columns. Pose and twist share one sweep."""
         if quantity not in self._found:
             d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
             some = (ACCELERATION,) if quantity is ACCELERATION else (POSE, TWIST)

@@ -20,7 +20,7 @@ from rbjax.rotations.coefficients import stumpff
 
 
 def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
-    """Add dq to q on lanes; the resulting quaternions have unit length."""
+    """Compute the configuration q + dq on lanes. The resulting quaternions have unit length."""
     out: list[Lane] = []
     for span in spans(top):
         out += [a + b for a, b in zip(q[span.q], dq[span.v], strict=True)]
@@ -31,13 +31,14 @@ def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
 
 
 def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
-    """The rate u' of q + u at the velocity v: v itself, except for attitudes q exp(u)
+    """Compute the rate u' of the increment u of q + u at the velocity v, on lanes.
+
+    It is v, except for attitudes q exp(u)
 
         u' = J_r(u)^-1 w = w + u x w / 2 + e u x (u x w),   e = 1/12 + x/720 + ..., x = |u|^2
 
-    The series of e ends at x^5: it is exact to order 13 in u, with an error of 1e-5 w at |u| = 2,
-    less than that of dop853 in a step of 2 rad. `rotations.inverse_jacobian_coefficient` is the
-    full function, whose sines would take time at each stage of a kernel.
+    The series of e ends at x^5. It is exact to order 13 in u, with an error of 1e-5 w at |u| = 2.
+    The full function is `rotations.inverse_jacobian_coefficient`, which needs sines.
     """
     return _with_attitudes(top, u, v, lambda x: (0.5, horner(_TURN, x)))
 
@@ -47,7 +48,9 @@ _TURN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368
 
 
 def velocity_lanes(top: Any, u: list[Lane], du: list[Lane]) -> list[Lane]:
-    """The velocity v of q + u at the rate u' = du: du itself, except for attitudes q exp(u)
+    """Compute the velocity v of q + u at the rate u' = du, on lanes.
+
+    It is du, except for attitudes q exp(u)
 
         w = J_r(u) u' = u' - a u x u' + b u x (u x u'),
         a = (1 - cos |u|) / |u|^2,   b = (|u| - sin |u|) / |u|^3
@@ -65,7 +68,10 @@ def velocity_lanes(top: Any, u: list[Lane], du: list[Lane]) -> list[Lane]:
 def _with_attitudes(
     top: Any, u: list[Lane], v: list[Lane], coefficients: Callable[[Any], tuple[Lane, Lane]]
 ) -> list[Lane]:
-    """v, of attitudes w + a u x w + b u x (u x w), with a and b of |u|^2."""
+    """Replace the angular velocities w in v by w + a u x w + b u x (u x w).
+
+    `coefficients` returns a and b from |u|^2.
+    """
     out: list[Lane] = []
     for span in spans(top):
         out += v[span.v]
@@ -79,21 +85,21 @@ def _with_attitudes(
 
 
 def retract(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
-    """`integrate` of checked arrays (nq, ...) and (nv, ...), which may have the batch last."""
+    """Compute `integrate` of checked arrays (nq, ...) and (nv, ...), with any batch axes last."""
     if not model.nv:
         return q
     return jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
 
 
 def increment_rate(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
-    """The rate u' (nv, ...) of the configuration q + u at the velocity v, computed once."""
+    """Compute the rate u' (nv, ...) of the increment u of q + u at the velocity v."""
     if not model.topology.turn_starts:
         return v
     return jnp.stack(fusion_barrier(rate_lanes(model.topology, list(u), list(v))))
 
 
 def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
-    """Subtract q0 from q1 on lanes, for quaternions of any length."""
+    """Compute the tangent vector q1 - q0 on lanes, for quaternions of any nonzero length."""
     out: list[Lane] = []
     for span in spans(top):
         out += [sub(b, a) for a, b in zip(q0[span.q], q1[span.q], strict=True)]
@@ -111,9 +117,9 @@ def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
 
 @algorithm("q", "dq")
 def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
-    """The configuration (nq,) reached from q by the tangent vector dq (nv,): q + dq.
+    """Compute the configuration q + dq (nq,) from a configuration and a tangent vector dq (nv,).
 
-    Attitudes: q exp(dq / 2), dq in body axes; the result has unit quaternions.
+    For attitudes it is q exp(dq / 2), with dq in body axes. Resulting quaternions have unit length.
 
     Args:
         model: the robot.
@@ -134,7 +140,7 @@ def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
 
 @algorithm("q0", "q1")
 def difference(model: Model, q0: jax.Array, q1: jax.Array) -> jax.Array:
-    """The tangent vector (nv,) that takes q0 to q1, with integrate(q0, dq) = q1: q1 - q0.
+    """Compute the tangent vector dq = q1 - q0 (nv,), with integrate(q0, dq) = q1.
 
     Args:
         model: the robot.

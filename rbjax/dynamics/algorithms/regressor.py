@@ -25,8 +25,11 @@ from rbjax.spatial import Force, Motion, Transform
 def regressor_factors(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The axes (nv, 6) of the links and the wrench (6, 10 nb) of each parameter, in world axes. An
-    entry of the regressor is the product of an axis and a wrench, if the link moves the body."""
+    """Compute the axes (nv, 6) of the links and the wrench (6, 10 nb) of each parameter.
+
+    They are in world axes. An entry of the regressor is the product of an axis and a wrench if the
+    link moves the body, else zero.
+    """
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
@@ -45,13 +48,13 @@ def regressor_factors(
 
 
 def _moved_by(model: Model) -> np.ndarray:
-    """(nv, 10 nb) whether each link moves the body of each parameter."""
+    """Return the mask (nv, 10 nb) of entries whose link moves the body of the parameter."""
     moved = np.stack([ancestor_mask(model.topology, i) for i in model.topology.body_links])
     return np.repeat(moved.T, 10, 1)
 
 
 def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """`inertial_regressor` as two kernels: the factors, then one thread a parameter."""
+    """Compute `inertial_regressor` with two kernels: factors, then a thread for each parameter."""
     model = on_threads(model, q.dtype, long=False)
     S, wrenches = batch_first(compile_threads(lambda *x: regressor_factors(model, *x))(q, v, a))
 
@@ -64,7 +67,7 @@ def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array)
 
 @algorithm("q", "v", "a", multi_kernel=regressor_by_columns)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """The inertial regressor Y (nv, 10 nb): ID(q, v, a) = Y pi + armature * a.
+    """Compute the inertial regressor Y (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
 
     pi stacks (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of each body, in its own
     frame, with the inertia about the frame's origin: `inertial_parameters(model)`.
@@ -92,9 +95,9 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
 
 
 def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:
-    """The wrench on a body from each of its ten parameters, in world axes.
+    """Compute the wrench on a body from a unit of each of its ten parameters, in world axes.
 
-    `motion` is the angular velocity and the acceleration of its link, in the link's axes.
+    `motion` is the angular velocity and the acceleration of the link, in the link's axes.
     """
     w, alpha, lin = (link.R @ x for x in (motion[0], motion[1].ang, motion[1].lin))
     arm = body.p - link.p
@@ -112,7 +115,7 @@ def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple
 
 
 def _inertia_columns(x: Vec3) -> list[Vec3]:
-    """The columns of K(x), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
+    """Return the columns of K(x), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
     a, b, c = x
     o = 0.0
     rows = [(a, o, o), (b, a, o), (o, b, o), (c, o, a), (o, c, b), (o, o, c)]
@@ -120,7 +123,7 @@ def _inertia_columns(x: Vec3) -> list[Vec3]:
 
 
 def inertial_parameters(model: Model) -> jax.Array:
-    """The inertial parameters pi (10 nb,) of a model, in the order of `inertial_regressor`.
+    """Compute the inertial parameters pi (10 nb,) of a model, in the order of the regressor.
 
     Example:
         >>> import rbjax as rb

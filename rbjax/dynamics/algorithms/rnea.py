@@ -4,8 +4,8 @@
               f = I a + [w x J w; w x (w x h)] - f_ext
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
 
-Gravity is an acceleration of the base, a_0 = -g. External forces f_ext are each in the axes of
-their link at its origin. Their generalized forces are sum J_i^T f_i (Featherstone, 5.3).
+Gravity is an acceleration of the base, a_0 = -g. An external force f_ext is in the axes of its link
+at its origin. The generalized forces of f_ext are sum J_i^T f_i (Featherstone, 5.3).
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from rbjax.lanes import Mat3, Vec3, add, mul
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
 
-#: forces on some links by their index, or columns over all links
+#: a map from link index to force, or columns over all links
 LinkForces = Mapping[int, Force] | Force
 
 
 def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
-    """The external force on each link, per link."""
+    """Convert external forces to per-link values."""
     if isinstance(f_ext, Force):
         return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
     return d.scattered(f_ext or {}, Force.zero())
 
 
 def add_forces(a: LinkForces, b: LinkForces) -> LinkForces:
-    """The sum of both."""
+    """Add two sets of external forces on links."""
     a, b = a or {}, b or {}
     if isinstance(a, Force) and isinstance(b, Force):
         return a + b
@@ -60,7 +60,7 @@ def add_forces(a: LinkForces, b: LinkForces) -> LinkForces:
 
 
 def generalized_of_links(d: Driver, joints: Any, f_ext: LinkForces) -> Any:
-    """Generalized forces per link of external forces: sum J_i^T f_i."""
+    """Compute the generalized forces sum J_i^T f_i of external forces, per link."""
 
     def inward(x, children):
         link, joint, f_ext = x
@@ -71,7 +71,7 @@ def generalized_of_links(d: Driver, joints: Any, f_ext: LinkForces) -> Any:
 
 
 def wrenches_to_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
-    """Wrenches (nb, 6) on bodies, in world axes at the bodies' origins, as forces on links."""
+    """Convert wrenches (nb, 6) on bodies, in world axes at their origins, to forces on links."""
     top = d.topology
     rotations = d.whole(*sweep(d, joints, ROTATION))
     if not d.listed:
@@ -89,13 +89,13 @@ def wrenches_to_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces
 
 
 def _to_link(R: Mat3, arm: Vec3, wrench: Force) -> Force:
-    """A wrench in world axes, at a point of a link, in the link's axes at its origin."""
+    """Transform a wrench in world axes at a point of a link to the link's axes and origin."""
     force = R.T @ wrench.lin
     return Force(R.T @ wrench.ang + arm.cross(force), force)
 
 
 def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
-    """Outward step: the pose of a link, and the force on it that its joint transmits."""
+    """Run one outward step of RNEA: pose of a link in its parent, and I a + bias force - f_ext."""
     link, joint, qdd, f_ext = x
     X = joint.transform(link)
     w, a = ACCELERATION.step(Hop(X, joint, qdd), parent)
@@ -105,7 +105,7 @@ def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motio
 def rnea(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Generalized forces per link, from `accelerations` per link."""
+    """Compute the generalized forces from the joint accelerations, both per link."""
 
     def inward(x, children):
         (link, joint, qdd, _), (X, f) = x
@@ -119,8 +119,7 @@ def rnea(
 def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """The pose of each link in its parent, and the force that accelerates it less f_ext, per
-    link."""
+    """Compute the pose of each link in its parent, and I a + bias force - f_ext, per link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 
@@ -143,14 +142,14 @@ def _run(
 
 
 def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """p = M(q) v (nv,): the forces that give the acceleration v from rest, without gravity."""
+    """Compute the generalized momentum p = M(q) v (nv,), by RNEA at rest without gravity."""
     return _run(model, q, None, v, gravity=Vec3.zero())
 
 
 def forces_at(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, f_ext: LinkForces
 ) -> jax.Array:
-    """The generalized forces (nv,) that, with forces on links, give the acceleration a."""
+    """Compute the generalized forces (nv,) for the acceleration a, given external link forces."""
     return _run(model, q, v, a, f_ext=f_ext)
 
 
@@ -158,10 +157,10 @@ def forces_at(
 def inverse_dynamics(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:
-    """Compute the forces of the bodies only: no actuators, force elements or constraints.
+    """Compute the generalized forces tau (nv,) that cause the acceleration a.
 
-    tau = M(q) a + b(q, v) - sum_b J_b^T w_b gives the acceleration a. `rb.applied_forces` are those
-    of actuators and force elements.
+    tau = M(q) a + b(q, v) - sum_b J_b^T w_b, without force elements and constraints. The forces of
+    actuators and force elements are `rb.applied_forces`.
 
     Args:
         model: the robot.
@@ -171,8 +170,8 @@ def inverse_dynamics(
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
 
     Returns:
-        (nv,) N m for rotational coordinates, N for sliding ones. This is the total force: forces of
-        springs, dampers and actuators are not subtracted.
+        (nv,) N m for rotations, N for translations. It is the total force: forces of springs,
+        dampers and actuators are not subtracted.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
@@ -191,7 +190,7 @@ def inverse_dynamics(
 
 @algorithm("q", "v")
 def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """The Coriolis, centrifugal, gyroscopic and gravity forces b(q, v) (nv,); M a + b = tau.
+    """Compute the bias forces b(q, v) (nv,) of velocity and gravity, with M a + b = tau.
 
     Args:
         model: the robot.
@@ -212,7 +211,7 @@ def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
-    """The forces g(q) = dV/dq (nv,) that hold the robot against gravity.
+    """Compute the forces g(q) = dV/dq (nv,) that hold the robot at rest against gravity.
 
     Args:
         model: the robot.

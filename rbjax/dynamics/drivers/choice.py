@@ -1,11 +1,10 @@
 """The choice of a driver.
 
-- `Unrolled` writes the steps one after another into the program. Structural zeros differ from link
-  to link, so this is the least arithmetic and the fastest code. Compile time grows with the tree.
+- `Unrolled` writes the steps of all links into the program. It uses the structural zeros of each
+  link, so its code has the least arithmetic and is fastest. Compile time grows with the tree.
 - `Rolled` is a `lax.scan` over the links, which compiles one step for any number of links.
-- `Limbs` unrolls the trunk and one limb of each kind, and is a `lax.scan` over the limbs of that
-  kind: the two legs of a humanoid are one leg in a loop. It is for GPU threads, whose programs must
-  be short.
+- `Limbs` unrolls the trunk and one limb of each group, and is a `lax.scan` over the limbs of the
+  group. It is for GPU threads, whose programs must be short.
 """
 
 from __future__ import annotations
@@ -23,23 +22,22 @@ from rbjax.dynamics.drivers.rolled import allocate_slots as allocate_slots
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
 
-#: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
-#: times as fast, but its gradient compiles in 0.8 s a link; that of rolled code in 4 s for any
-#: length (benchmarks/results/cpu-thresholds-*.json: chains of 4 to 16).
+#: the largest number of velocity coordinates for which "auto" is "unrolled"; otherwise it is
+#: "rolled". Unrolled code runs faster but compiles slower
+#: (benchmarks/results/cpu-thresholds-*.json: chains of 4 to 16).
 UNROLLED_UP_TO = 8
 
-#: the same in a GPU thread, by bytes of a number: up to about 8,000 statements, instruction fetches
-#: cost nothing. Numbers of 8 bytes take two registers each. ABA has 350 statements a coordinate,
-#: the others have 190 at most
+#: bytes of a number -> the largest number of velocity coordinates for which a GPU thread is
+#: unrolled: instruction fetches are free up to about 8,000 statements. ABA has 350 statements for
+#: each coordinate; short algorithms have 190 at most
 THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
 SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 
-#: the least of these thresholds without a GPU: unrolled machine code of a humanoid's forward
-#: dynamics takes 0.85 of the time of limbs, its derivatives a quarter
+#: the lower bound of these thresholds without a GPU, where unrolled code is faster than limbs
 CPU_UNROLLED_UP_TO = 26
 
-#: above this many velocity coordinates, algorithms on pairs of links run as several kernels on a
-#: GPU, with a thread for each link of each sample
+#: above this number of velocity coordinates, algorithms on pairs of links run as several kernels on
+#: a GPU, with a thread for each link of each sample
 KERNELS_ABOVE = 8
 
 DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
@@ -48,7 +46,7 @@ DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
 
 
 def driver(model: Model, dtype: Any) -> Driver:
-    """The driver of a model; "auto" unrolls small trees and rolls large ones."""
+    """Return the driver of a model. "auto" unrolls small trees and rolls large trees."""
     name = model.driver
     if name == "auto":
         name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
@@ -61,8 +59,8 @@ def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = Tr
     """Replace the driver "auto" by one for a GPU thread or a SIMD lane.
 
     Args:
-        pairs: whether the algorithm works on all pairs of links, which limbs do not shorten.
-        long: whether it has as many statements as ABA, twice those of the others.
+        pairs: True if the algorithm works on all pairs of links, which limbs do not shorten.
+        long: True if the algorithm has as many statements for each link as ABA.
     """
     if model.driver != "auto":
         return model

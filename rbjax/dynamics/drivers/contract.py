@@ -1,11 +1,11 @@
-"""The contract of drivers: how a recursion over the tree runs.
+"""The interface of drivers, which run a recursion over the tree.
 
 A recursion is written once, as a step on the lanes of one link. A driver runs it over the tree.
 
-A *per-link value* holds one value for each link, in the form of its driver: a list (`Unrolled`), a
-list and columns (`Rolled`), lists for the trunk and the limbs (`Limbs`). Values are pytrees of
-lanes. The *whole* form is for work on all links at once, outside the recursions: a list over the
-links if `listed`, else columns.
+A *per-link value* contains one pytree of lanes for each link, in the form of its driver: a list
+(`Unrolled`), a list and columns (`Rolled`), lists for the trunk and the limbs (`Limbs`). The *whole
+form* is for computations on all links at once, outside the recursions: a list over the links if
+`listed`, else columns.
 """
 
 from __future__ import annotations
@@ -29,88 +29,86 @@ Step = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class Driver(abc.ABC):
-    """How a recursion over the tree runs."""
+    """An executor of recursions over the tree of a robot."""
 
     topology: Topology
     prepared: Prepared
     constants: PerLink
-    #: whether `whole` is a list
+    #: True if the whole form is a list
     listed: bool
-    #: links in one iteration of the loop, if there is one
+    #: the number of links in one iteration of the loop, if there is one
     unroll = 1
 
     @abc.abstractmethod
     def joints(self, q: jax.Array, v: jax.Array | None) -> PerLink:
-        """The joint motion of each link; at rest if v is None."""
+        """Compute the joint motion of each link. v = None means at rest."""
 
     @abc.abstractmethod
     def lanes(self, x: jax.Array | None) -> PerLink:
-        """An array (nv, ...) as one lane a link; zeros if None."""
+        """Convert an array (nv, ...) to one lane for each link. None means zeros."""
 
     @abc.abstractmethod
     def scattered(self, values: Mapping[int, Any], zero: Any) -> PerLink:
-        """Values of some links, by index; `zero` for all others."""
+        """Convert a map from link index to value to a per-link value. Other links get `zero`."""
 
     @abc.abstractmethod
     def pack(self, lanes: PerLink, like: jax.Array) -> jax.Array:
-        """One lane a link as an array (nv, ...)."""
+        """Convert one lane for each link to an array (nv, ...)."""
 
     @abc.abstractmethod
     def columns(self, values: PerLink, like: jax.Array) -> Any:
-        """One pytree of columns (nv, ...), for work with whole arrays."""
+        """Convert per-link values to one pytree of columns (nv, ...)."""
 
     @abc.abstractmethod
     def zip(self, *values: PerLink) -> PerLink:
-        """Tuples of the values of each link."""
+        """Combine per-link values to tuples of the values of each link."""
 
     @abc.abstractmethod
     def part(self, values: PerLink, k: int) -> PerLink:
-        """Entry k of each tuple."""
+        """Return entry k of the tuple of each link."""
 
     @abc.abstractmethod
     def outward(self, step: Step, root: Any, xs: PerLink) -> PerLink:
-        """The y_i of carry_i, y_i = step(x_i, carry of the parent), from the root to the tips."""
+        """Run carry_i, y_i = step(x_i, carry of the parent) from root to tips. Return the y_i."""
 
     @abc.abstractmethod
     def inward(self, step: Step, zero: Any, xs: PerLink) -> PerLink:
-        """The y_i of message_i, y_i = step(x_i, sum of the children's messages), from the tips to
-        the root."""
+        """Run message_i, y_i = step(x_i, sum of child messages) to the root. Return the y_i."""
 
     @abc.abstractmethod
     def whole(self, values: PerLink) -> Whole:
-        """Values in the form for work on all links at once."""
+        """Convert per-link values to the whole form."""
 
     @abc.abstractmethod
     def rows(self, whole: Whole) -> PerLink:
-        """The inverse of `whole`."""
+        """Convert values in the whole form to per-link values."""
 
     @abc.abstractmethod
     def each(self, f: Callable, *whole: Whole) -> Whole:
-        """f of each link's values."""
+        """Apply f to the values of each link, in the whole form."""
 
     @abc.abstractmethod
     def take(self, whole: Whole, index: Sequence[int], world: Any = None) -> Whole:
-        """The values of these links; `world` where an index is WORLD."""
+        """Return the values of the links at the given indices, and `world` for an index WORLD."""
 
     @abc.abstractmethod
     def stack(self, whole: Whole, lanes: Callable, like: jax.Array) -> jax.Array:
-        """The lanes of each value as a row of an array (values, lanes)."""
+        """Stack lanes(value) of each link as a row of an array (links, lanes)."""
 
     @abc.abstractmethod
     def literals(self, numbers: list[float]) -> Whole:
-        """Constants of the program, one a link, as a lane or a list of lanes."""
+        """Convert one compile-time constant for each link to the whole form."""
 
     def unzip(self, tuples: PerLink, count: int) -> tuple[PerLink, ...]:
-        """The inverse of `zip`, for `count` values."""
+        """Split the tuples of `zip` into `count` per-link values."""
         return tuple(self.part(tuples, k) for k in range(count))
 
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink) -> PerLink:
-        """Run an outward sweep with outward(x_i, carry) -> y_i, then an inward one with
-        inward((x_i, y_i), messages)."""
+        """Run an outward sweep over x_i that returns y_i, then an inward sweep over (x_i, y_i)."""
         return self.inward(inward, zero, self.zip(xs, self.outward(outward, root, xs)))
 
     def axes(self, joints: PerLink) -> tuple[PerLink, PerLink]:
-        """S and S' of each link in its own axes."""
+        """Return S and its time derivative S' of each link in its own axes, per link."""
 
         def step(joint: JointMotion, _: tuple) -> tuple[tuple, tuple[Motion, Motion]]:
             return (), (joint.S, joint.S_rate)
@@ -119,7 +117,7 @@ class Driver(abc.ABC):
         return S, S_rate
 
     def whole_axes(self, joints: PerLink) -> Whole:
-        """S of each link in its own axes; literals if all kinds have shared axes."""
+        """Return the axis S of each link in its own axes, in the whole form."""
         kinds = [dof.kind for dof in self.topology.dofs]
         if not all(kind.constant_axis and kind.shared_axis for kind in kinds):
             return self.whole(self.axes(joints)[0])
@@ -134,5 +132,5 @@ class Driver(abc.ABC):
 def dof_motion(
     dof: Dof, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
 ) -> JointMotion:
-    """The motion of one dof, from the coordinates of all."""
+    """Compute the motion of one dof from q and v of the robot."""
     return dof.kind.motion([q[k] for k in dof.q], [v[k] for k in dof.v], constants)

@@ -1,10 +1,10 @@
 """The driver by limbs: a loop over isomorphic limbs, one of which is unrolled.
 
-A humanoid's two legs are one leg in a `lax.scan` over two. Base and waist (the trunk) are unrolled,
-as in `Unrolled`. All lanes of a limb are in registers; the loop carries nothing.
+The two legs of a humanoid are a `lax.scan` of length two over one unrolled leg. Base and waist (the
+trunk) are unrolled, as in `Unrolled`. All lanes of a limb are in registers.
 
-A number on which all limbs of a group agree is a literal of the program, so shared zeros vanish. A
-number on which they differ is a column over the limbs (`loop`).
+A number that is equal in all limbs of a group is a literal of the program, so shared zeros vanish.
+A number that differs between the limbs is a column over the limbs (`loop`).
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Limbs(unrolled.ListDriver):
         place = {link: n for n, link in enumerate(self._trunk)}
         self._place = {**place, WORLD: WORLD}
         self._parents = [self._place[top.parents[i]] for i in self._trunk]
-        self._like: Any = None  # the shape and dtype of one lane, known with q
-        #: id of a lane that `whole` has read from a column -> lane, column, limb
+        self._like: Any = None  # an array with the shape and dtype of one lane; set from q
+        #: id of a lane that `whole` has read from a column -> (lane, column, limb)
         self._read: dict[int, tuple[Lane, Any, int]] = {}
         self.constants = self._parts(
             prepared.link,
@@ -49,7 +49,11 @@ class Limbs(unrolled.ListDriver):
         )
 
     def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
-        """A per-link value, from functions of one link and of the links of a position."""
+        """Make a per-link value.
+
+        `of_link` returns the value of one link of the trunk. `of_links` returns the column of one
+        position of a group from the links of all limbs at this position.
+        """
         trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
         positions = [list(zip(*group.links, strict=True)) for group in self._groups]
         limbs = [
@@ -59,7 +63,7 @@ class Limbs(unrolled.ListDriver):
         return Parts(trunk, limbs)
 
     def _column(self, column: Any, links: Sequence[int]) -> Any:
-        """The rows of a column for some links; a literal if they agree."""
+        """Return the rows of a column for some links, or a literal if they are equal constants."""
         if isinstance(column, np.ndarray):
             return _merged(*(lane(column, i) for i in links))
         return _rows(column, links)
@@ -116,7 +120,7 @@ class Limbs(unrolled.ListDriver):
         )
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
-        # limbs that follow each other are written as one block
+        # limbs with consecutive links are written as one block
         rows = dict(zip(self._trunk, lanes.trunk, strict=True))
         blocks: dict[int, jax.Array] = {}
         for group, columns in zip(self._groups, lanes.rest, strict=True):
@@ -151,7 +155,7 @@ class Limbs(unrolled.ListDriver):
         )
 
     def _column_of(self, *lanes: Lane) -> Any:
-        """The column that the lanes of the limbs were read from, or a new one."""
+        """Return the column from which the lanes of the limbs were read, or a new column."""
         _, column, _ = self._read.get(id(lanes[0]), (None, None, 0))
         for j, x in enumerate(lanes):
             _, own, limb = self._read.get(id(x), (None, None, 0))
@@ -168,7 +172,7 @@ class Limbs(unrolled.ListDriver):
         return Parts([x[k] for x in values.trunk], [[x[k] for x in xs] for xs in values.rest])
 
     def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
-        """As `Unrolled.outward`: the trunk, then the limbs."""
+        """Run an outward sweep over the trunk, then over the limbs."""
         carries, ys = unrolled.outward(self._parents, step, root, xs.trunk)
 
         def limb(group, x, before, known):
@@ -177,7 +181,7 @@ class Limbs(unrolled.ListDriver):
         return Parts(ys, self._each_group(limb, (), xs, carries, root)[1])
 
     def inward(self, step: Step, zero: Any, xs: Parts) -> Parts:
-        """As `Unrolled.inward`: the limbs, then the trunk."""
+        """Run an inward sweep over the limbs, then over the trunk."""
 
         def limb(group, x, before, known):
             sums = [zero] * len(x)
@@ -188,7 +192,7 @@ class Limbs(unrolled.ListDriver):
         return Parts(unrolled.inward(self._parents, step, sums, xs.trunk)[1], limbs)
 
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Parts) -> Parts:
-        # each limb runs out and in, and stores nothing of its outward sweep
+        # each limb runs both sweeps in one iteration and stores nothing of its outward sweep
         carries, first = unrolled.outward(self._parents, outward, root, xs.trunk)
 
         def limb(group, x, before, known):
@@ -204,8 +208,10 @@ class Limbs(unrolled.ListDriver):
     def _each_group(
         self, limb: Callable, zero: Any, xs: Parts, carries: list | None, root: Any
     ) -> tuple[list, list]:
-        """Run message, ys = limb(group, xs, carry of its carrier, known) for every limb. Return the
-        sums of the messages to each link of the trunk, and the columns of ys."""
+        """Run message, ys = limb(group, xs, carry of the trunk link, known) for every limb.
+
+        Return the sum of the messages to each link of the trunk, and the columns of ys.
+        """
         sums, out = [zero] * len(self._trunk), []
         for group, positions in zip(self._groups, xs.rest, strict=True):
             messages, ys = self._one_group(group, limb, zero, positions, carries, root)
@@ -217,7 +223,7 @@ class Limbs(unrolled.ListDriver):
     def _one_group(
         self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
     ) -> tuple[list[tuple[int, Any]], Any]:
-        """Run one group. Return pairs (place in the trunk, message), and the columns of ys."""
+        """Run `limb` for one group. Return pairs (index in trunk, message), and columns of ys."""
         ports = [self._place[i] for i in group.carriers]
         together = len(set(ports)) == 1
         summed = together and ports[0] != WORLD
@@ -240,7 +246,7 @@ class Limbs(unrolled.ListDriver):
         return pairs, ys
 
     def _limb(self, columns: Any, j: int) -> Any:
-        """The lanes of limb j."""
+        """Return the lanes of limb j, from the columns over the limbs."""
 
         def lane(column):
             cast = self._cast(column)
@@ -251,10 +257,10 @@ class Limbs(unrolled.ListDriver):
         return jax.tree.map(Iteration(lane), columns)
 
     def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
-        """carry, out = body(carry, given, known) over the limbs of a group."""
+        """Scan carry, out = body(carry, given, known) over the limbs of a group."""
 
         def scan(step: Callable, carry: Any, columns: list) -> tuple[Any, Any]:
-            # a transposed limb recomputes its values: storing them would fill the thread's memory
+            # the transpose recomputes the values of a limb instead of storing them
             step = jax.checkpoint(step, prevent_cse=False)
             return jax.lax.scan(step, carry, ((), columns), length=len(group.links))
 
@@ -271,7 +277,7 @@ class Limbs(unrolled.ListDriver):
 
 @jax.custom_jvp
 def sequential_sincos(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cosines and sines in a loop, so that their long program is compiled once for all."""
+    """Compute cosines and sines in a loop, so that their long program is compiled once."""
     return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
 
 
@@ -289,7 +295,7 @@ def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
 
 
 def _rows(x: Any, index: Sequence[int]) -> Any:
-    """Rows of an array; a slice if they are evenly spaced."""
+    """Return rows of an array, by a slice if they are evenly spaced."""
     steps = {b - a for a, b in itertools.pairwise(index)}
     if len(steps) == 1 and min(steps) > 0:
         return x[index[0] : index[-1] + 1 : steps.pop()]
@@ -297,7 +303,7 @@ def _rows(x: Any, index: Sequence[int]) -> Any:
 
 
 def _merged(*lanes: Lane) -> Any:
-    """The lanes of the limbs as a column; a literal if they agree."""
+    """Convert the lanes of the limbs to a column, or to a literal if they are equal constants."""
     if not all(map(is_literal, lanes)):
         return jnp.stack([jnp.asarray(x) for x in lanes])
     return lanes[0] if all(x == lanes[0] for x in lanes) else np.array(lanes, float)

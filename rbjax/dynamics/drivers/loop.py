@@ -1,7 +1,8 @@
 """Loops over columns of lanes, by `lax.scan`.
 
-A column has one lane for each iteration. A lane that the body returns unchanged stays the column
-that it was, and the pose of a link is recomputed from the columns of its joint: neither is stored.
+A column has one lane for each iteration. If the body returns a lane unchanged, the result is its
+column. If it returns the pose of a link, the pose is recomputed from the columns of the joint.
+Neither is stored.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from rbjax.lanes import Lane, is_literal
 
 
 class Parts:
-    """A per-link value of a driver: a list over the unrolled links, and columns for the rest."""
+    """A per-link value: a list over the unrolled links (`trunk`), and columns for the rest."""
 
     def __init__(self, trunk: list, rest: Any):
         self.trunk, self.rest = trunk, rest
@@ -28,26 +29,30 @@ jax.tree_util.register_pytree_node(
 
 
 class JointColumns:
-    """The joint motions of all iterations. `posed` computes that of one iteration, from a function
-    that returns its lane of each of the `columns`, or from the identity those of all."""
+    """The joint motions of all iterations.
+
+    columns: the columns from which the motions are computed.
+    posed: function of f that computes a joint motion. f maps a column to its lane of one iteration.
+        If f is the identity, the result is the motions of all iterations.
+    """
 
     def __init__(self, posed: Callable[[Callable[[Any], Lane]], PosedJoint], columns: Any):
         self.posed, self.columns = posed, columns
 
 
 class PoseLane:
-    """Lane k of the poses of joint motions."""
+    """Lane k of the poses of joint motions, as a column that is recomputed when it is read."""
 
     def __init__(self, joint: JointColumns, k: int):
         self.joint, self.k = joint, k
 
     def of(self, posed: PosedJoint) -> Lane:
-        """The lane of a joint motion."""
+        """Return the lane of the pose of one joint motion."""
         return jax.tree.leaves(posed.pose)[self.k]
 
 
 class Constants:
-    """The constants of the links, as a leaf among columns."""
+    """A placeholder for the constants of the links, as a leaf among columns."""
 
 
 class Iteration:
@@ -68,7 +73,7 @@ class Iteration:
         return x.of(self.joint(x.joint)) if isinstance(x, PoseLane) else self.lane(x)
 
     def joint(self, x: JointColumns) -> PosedJoint:
-        """The joint motion, computed on first use."""
+        """Return the joint motion of this iteration, which is computed on first use."""
         if id(x) not in self.joints:
             self.joints[id(x)] = x, x.posed(self.lane)
         return self.joints[id(x)][1]
@@ -86,12 +91,12 @@ class Iteration:
 def loop(
     scan: Callable, body: Callable, carry: Any, given: Any, cast: Callable = lambda x: x
 ) -> tuple[Any, Any]:
-    """Run carry, out = body(carry, lanes, more, iteration) over the columns of `given`.
+    """Scan carry, out = body(carry, lanes, more, iteration) over the columns of `given`.
 
     Args:
-        scan: f(step, carry, columns) -> carry, stacked results, where the xs of the step are a
-            tuple (more, lanes); `more` is (index, constants) or ().
-        cast: applied to each column.
+        scan: f(step, carry, columns) -> carry, stacked results. It calls step(carry, (more, lanes))
+            in each iteration; `more` is (index, constants) or ().
+        cast: a function that is applied to each column before the scan.
     """
     leaves, treedef = jax.tree.flatten(given)
     columns = {id(c): c for x in leaves for c in _columns(x)}
@@ -119,7 +124,7 @@ def loop(
 
 
 def _columns(x: Any) -> list:
-    """The columns that a leaf is computed from."""
+    """Return the columns from which a leaf is computed."""
     if isinstance(x, PoseLane):
         return _columns(x.joint)
     found = jax.tree.leaves(x.columns) if isinstance(x, JointColumns) else [x]

@@ -1,7 +1,8 @@
 """Matrices over pairs of links.
 
-A matrix such as M or C has an entry (i, j) only where one link moves the other. The entry is a
-product of six to nine lanes of each link, which depend on which link is deeper.
+In a matrix such as M or C an entry (i, j) is nonzero only if one of the links i and j moves the
+other. The entry is the inner product of six to nine lanes of each link. Different lanes are used if
+i moves j than if j moves i.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ from rbjax.model.cells import stacked
 
 
 def movers(top: Topology, i: int) -> list[int]:
-    """The links whose coordinates move link i: its ancestors and the dofs that share its frame."""
+    """Return the links that move link i: i, its ancestors and the dofs that share its frame."""
     return list(top.ancestors[top.dofs[i].node[-1]])
 
 
 def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:
-    """(nv, nv): entry (i, j) is a_i . b_j, zero where neither link moves the other.
+    """Compute a matrix (nv, nv) whose entry (i, j) is a_i . b_j.
 
-    (a, b) are `below` where j moves i (`movers`), else `above`; vectors of lanes.
+    The pair of vectors (a, b) is `below` if j moves i (`movers`), and `above` if only i moves j.
+    If neither link moves the other, the entry is zero.
     """
     if d.listed:
         return packed(pair_entries(d.topology, above, below), like)
@@ -45,7 +47,7 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
 
 
 def pair_entries(top: Topology, above: Any, below: Any) -> list[list[Lane]]:
-    """The entries of `pair_matrix`, row by row."""
+    """Compute the entries of `pair_matrix` as lanes, row by row."""
     n = top.nv
     entries: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     for i in range(n):
@@ -63,7 +65,7 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
-    """Return f and xs, such that f(slice j of xs) is column j of each matrix (above, below)."""
+    """Return f and xs such that f(slice j of xs) is column j of each `pair_matrix` of `pairs`."""
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 
@@ -81,11 +83,12 @@ def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[
 
 
 def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
-    """A column of `pair_matrix` as an array (n,).
+    """Compute a column of `pair_matrix` as an array (n,).
 
     Args:
-        above, below: the lanes of all links as arrays (n,), and those of the column's link.
-        places: the row of the column's link in `which_moves`.
+        above, below: pairs of the lanes a of all links, as arrays (n,), and the lanes b of the link
+            of the column.
+        places: the row (n,) of this link in `which_moves`.
     """
     upper, lower = (
         functools.reduce(jnp.add, [x * y for x, y in zip(*half, strict=True)])
@@ -95,13 +98,13 @@ def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
 
 
 def which_moves(top: Topology) -> np.ndarray:
-    """Entry (j, i) is 2 if link j moves link i, else 1 if i moves j, else 0."""
+    """Return the matrix with entry (j, i) = 2 if link j moves i, 1 if only i moves j, else 0."""
     moves = _moves(top)
     return np.where(moves.T, 2, moves).astype(np.int32)
 
 
 def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
-    """`_moves`, and all lanes as arrays (nv,)."""
+    """Return `_moves`, and the lanes of `pairs` as arrays (nv,)."""
 
     def spread(v):
         return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (top.nv,)) for x in v]
@@ -110,7 +113,7 @@ def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, An
 
 
 def _moves(top: Topology) -> np.ndarray:
-    """Entry (i, j) is whether link j moves link i."""
+    """Return the mask (nv, nv) whose entry (i, j) is True if link j moves link i."""
     moves = np.zeros((top.nv, top.nv), bool)
     for i in range(top.nv):
         moves[i, movers(top, i)] = True
@@ -118,6 +121,6 @@ def _moves(top: Topology) -> np.ndarray:
 
 
 def with_armature(d: Driver, M: jax.Array) -> jax.Array:
-    """M with the armature of the joints on its diagonal."""
+    """Add the armature of the joints to the diagonal of M."""
     armature = stacked(d.prepared.columns.armature, M.dtype)
     return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0)

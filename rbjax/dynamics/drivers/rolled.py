@@ -1,12 +1,13 @@
 """The rolled driver: a `lax.scan` over the links in depth-first order.
 
-One step is compiled however many links there are. A link's parent is nearly always the previous
-link. Branch points are kept in a few slots, each free again after its last child, so the loop
-carries no array over links. A free joint's six links come first and are unrolled (the *head*), so
-that all other links of a usual robot turn about z.
+One step is compiled for any number of links. The parent of a link is nearly always the previous
+link. Links with more children are kept in a few slots, which are reused after their last child, so
+the loop carries no array over links. The six links of a free joint come first and are unrolled (the
+*head*), so that all other links of a usual robot are hinges.
 
-The cost of a step is its reads and writes. So constants are one row, a hinge stores only its cosine
-and sine, and neither a link's pose nor a value that a step passes on unchanged is written.
+The cost of a step is its reads and writes. Therefore the constants of a link are one row, a hinge
+stores only its cosine and sine, and neither poses nor values that a step returns unchanged are
+written.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from rbjax.spatial import Motion
 
 
 class Rolled(Driver):
-    """A scan over the links, after the head."""
+    """The driver that runs a scan over the links, after the unrolled head."""
 
     listed = False
 
@@ -50,13 +51,13 @@ class Rolled(Driver):
         self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
         self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
         self.constants = Parts([prepared.link(i) for i in range(self.head)], Constants())
-        self._like: Any = None  # the shape and dtype of one lane, known with q
+        self._like: Any = None  # an array with the shape and dtype of one lane; set from q
         parents = np.array(top.parents)
         self._slots, self._slot_of = allocate_slots(top.parents)
         chained = parents == np.arange(n) - 1
-        #: the slot from which each link takes its parent, or -1 for the link before
+        #: the slot of the parent of each link, or -1 if the parent is the previous link
         source = np.where(chained, -1, [self._slot_of.get(p, -1) for p in parents])
-        #: the slot in which each link waits for its later children, or -1
+        #: the slot in which each link is kept for its later children, or -1
         keep = np.array([self._slot_of.get(i, -1) for i in range(n)])
         target = np.where(parents == WORLD, -2, source)
         self._index = np.stack([source, keep, target], 1).astype(np.int32)[self.head :]
@@ -86,7 +87,7 @@ class Rolled(Driver):
         return Parts(head, jax.tree.map(self._column, *rest))
 
     def _column(self, *lanes: Lane) -> Lane:
-        """Lanes as a column; a literal if all are the same."""
+        """Convert lanes to a column, or to a literal if all are the same literal."""
         if is_literal(lanes[0]) and all(is_literal(x) and x == lanes[0] for x in lanes):
             return lanes[0]
         return jnp.stack(as_arrays(list(lanes), self._like))
@@ -133,7 +134,7 @@ class Rolled(Driver):
         return jax.tree.map(lambda r, *h: self.pack(Parts(list(h), r), like), rest, *values.trunk)
 
     def _whole(self, x: Any) -> Any:
-        """A column; computed if it is a lane of poses."""
+        """Return a column. Compute it if it is a `PoseLane`."""
         if not isinstance(x, PoseLane):
             return x
         return x.of(x.joint.posed(lambda c: self._columns if isinstance(c, Constants) else c))
@@ -174,7 +175,7 @@ class Rolled(Driver):
 
     def inward(self, step: Step, zero: Any, xs: Parts) -> Parts:
         nothing = as_arrays(zero, self._like)
-        # the first link's message goes to the head, if there is one
+        # the message of the first link goes to the head, if there is one
         chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
 
         def body(carry, index, x):
@@ -203,7 +204,7 @@ class Rolled(Driver):
         return Parts(ys, rest)
 
     def _scan(self, body: Callable, carry: Any, xs: Any, *, reverse: bool) -> tuple[Any, Any]:
-        """carry, y = body(carry, index, x) over the columns of xs. The constants are one row."""
+        """Scan carry, y = body(carry, index, x) over the columns of xs."""
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
         rows = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
@@ -235,7 +236,7 @@ def _select(condition, a, b):
 
 
 def _uniform(column):
-    """Replace a concrete column of zeros, or ones, by a literal."""
+    """Replace a concrete column of zeros, or of ones, by a literal."""
     if isinstance(column, np.ndarray) and column.dtype == object:
         lanes = [lane_of(x) for x in column]
         if lanes and all(is_literal(x) and x == lanes[0] and x in (0.0, 1.0) for x in lanes):
@@ -249,7 +250,10 @@ def _uniform(column):
 
 
 def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
-    """The number of slots, and the slot of each link with a child that is not the next link."""
+    """Return the number of slots, and the slot of each link that needs one.
+
+    A link needs a slot if one of its children is not the next link.
+    """
     last: dict[int, int] = {}
     for i, parent in enumerate(parents):
         if parent != i - 1:
@@ -272,8 +276,11 @@ def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
 def joint_columns(
     top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
-    """The motions of the links from `start` on: a function of columns (nv - start, ...), or of the
-    lanes of one link, that returns a `JointMotion`; and the columns."""
+    """Return a function that returns a `JointMotion`, and the columns that are its arguments.
+
+    The columns (nv - start, ...) describe the links from `start` on. The function also accepts the
+    lanes of one link.
+    """
     links = top.dofs[start:]
     batch = (1,) * (q.ndim - 1)
 
@@ -302,7 +309,7 @@ def joint_columns(
     motion = NodeMotion.of(motion) if varying else motion
 
     def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
-        """The motion with the rows of one kind replaced."""
+        """Replace the rows of one kind in the motion."""
         some = [links[i] for i in rows]
         qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
         vs = [
@@ -316,7 +323,7 @@ def joint_columns(
         own = NodeMotion.of(own) if varying else own
         return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
 
-    # the other kinds; dofs that are rigid to the previous one have the motion above
+    # replace the rows of all other kinds, except dofs that are rigid to the previous dof
     others: dict[DofKind, list[int]] = {}
     for i, link in enumerate(links):
         if link.kind not in (HINGE, SLIDE) and not link.kind.rigid_to_previous:

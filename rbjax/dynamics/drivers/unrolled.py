@@ -1,4 +1,4 @@
-"""The unrolled driver writes out the step of every link. Code shared by drivers of lists."""
+"""The unrolled driver, whose program contains the step of every link, and drivers of lists."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class ListDriver(Driver):
 
 
 class Unrolled(ListDriver):
-    """Steps written one after another. Per-link values are lists."""
+    """The driver that writes the steps of all links into the program. Per-link values are lists."""
 
     def __init__(self, model: Model, prepared: Prepared | None):
-        """`prepared` is None if the steps need no constants of the links."""
+        """Create a driver. `prepared` is None if the steps need no constants of the links."""
         self.topology, self.constants = model.topology, []
         if prepared is not None:
             self.prepared = prepared
@@ -89,8 +89,10 @@ class Unrolled(ListDriver):
 def outward(
     parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """The carries and the y_i of an unrolled outward sweep. `known` and the inputs of the steps are
-    not materialized."""
+    """Run an unrolled outward sweep. Return the carries and the y_i.
+
+    Values in `known` and inputs of the steps bypass the fusion barrier after each step.
+    """
     carries: list = []
     ys: list = []
     for parent, x in zip(parents, xs, strict=True):
@@ -104,7 +106,10 @@ def outward(
 def inward(
     parents: Sequence[int], step: Step, sums: list, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """The messages and the y_i of an inward sweep. `sums` are messages from other sweeps."""
+    """Run an unrolled inward sweep. Return the messages and the y_i.
+
+    `sums` are the initial sums of messages at each link, from other sweeps.
+    """
     sums, messages, ys = list(sums), list(xs), list(xs)
     for i in reversed(range(len(xs))):
         messages[i], ys[i] = fusion_barrier(step(xs[i], sums[i]), known=(xs[i], sums[i], known))

@@ -1,1 +1,1 @@
-"""How algorithms run in JAX: checked and compiled calls, derivative rules, batches, counts."""
+"""Execution of algorithms in JAX: checked and compiled calls, derivative rules, batches, counts."""

@@ -1,10 +1,10 @@
-"""The entry of every public algorithm: checked arguments, one dtype, one compiled call.
+"""The decorator of every public algorithm: checked arguments, one dtype, one compiled call.
 
-Outside traced code an algorithm checks the values of its arguments and runs compiled. The leaves of
-the model are arguments of the program, so changing one never recompiles. The same holds under a
-`vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
-is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`), else by XLA.
+Outside of `jit`, also under `vmap` or `grad`, an algorithm checks the values of its arguments and
+runs compiled. The leaves of the model are arguments of the program, so a change of a leaf never
+recompiles. Inside `jit` the algorithm is inlined: a model that is closed over is constant, and its
+zeros vanish from the program. A batch runs as a program of one sample: a thread on a GPU, a SIMD
+lane of machine code on a CPU (`rbjax.compiler`), otherwise by XLA.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from rbjax.errors import InputError
 from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Frame, Model, with_constants
 
-#: arguments that are part of the program
+#: the arguments that are static: they determine the program
 STATIC = ("body", "site", "integrator", "dynamics", "constraints")
-#: programs that an algorithm keeps for different functions of a user (dynamics, integrators)
+#: the number of programs that an algorithm caches for functions of a user (dynamics, integrators)
 PROGRAMS_OF_FUNCTIONS = 64
 
 
@@ -44,16 +44,16 @@ def algorithm(
     where: str = "",
     functions: tuple[str, ...] = (),
 ) -> Callable[[Callable], Callable]:
-    """Make a public algorithm of f(model, *arrays, *rest). Names of bodies and sites are static.
+    """Return a decorator that makes f(model, *arrays, *rest) a public algorithm.
 
     Args:
-        names: of the arrays (`dynamics.arguments.SHAPES`), or "state".
-        pairs: whether most of the work is on pairs of links.
-        long: whether f has twice the statements of other algorithms for each link.
-        multi_kernel: the same function as several kernels, for a batch of a large model on a GPU.
-        where: the name in messages, that of f if empty.
-        functions: arguments that may be functions of (t, state) in place of arrays; they are part
-            of the program.
+        names: the names of the arrays (`dynamics.arguments.SHAPES`), or "state".
+        pairs: True if most of the arithmetic is on pairs of links.
+        long: True if f has twice as many statements for each link as other algorithms.
+        multi_kernel: f as several kernels, for a batch of a large model on a GPU.
+        where: the name of the algorithm in messages, by default the name of f.
+        functions: names of arguments that may be functions of (t, state) instead of arrays; such a
+            function is static.
     """
 
     def decorate(f: Callable) -> Callable:
@@ -94,7 +94,7 @@ def algorithm(
 
         @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
         def program_with(**own: Callable) -> Callable:
-            """The program of functions of a user. `jax.jit` never forgets a static argument."""
+            """Compile f with functions of a user, in a cache with an upper bound of its size."""
 
             def run(*args: Any, **kwargs: Any) -> Any:
                 return inlined(*args, **kwargs, **own)
@@ -134,10 +134,10 @@ def algorithm(
 
 
 def with_driver_of_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tuple:
-    """Replace the first argument, the model, by one with the driver for threads or SIMD lanes.
+    """Choose the driver of the model, the first argument, for GPU threads or SIMD lanes.
 
-    For pairs on a CPU the link constants become a program of their own: half of all statements,
-    which otherwise would be compiled once for each part that reads them.
+    For algorithms on pairs on a CPU, the link constants become a separate program. Otherwise their
+    statements would be compiled once for each part that reads them.
     """
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
@@ -152,7 +152,7 @@ def with_driver_of_threads(args: tuple, *, pairs: bool = False, long: bool = Fal
 
 
 def with_compiled_constants(model: Model, dtype: Any) -> Model:
-    """`with_constants` as a program of its own, which compiles sooner than under XLA."""
+    """Compute `with_constants` as a separate program, which compiles faster than with XLA."""
     if model.execution.constants is not None:
         return model
     found: list[Any] = []

@@ -1,7 +1,8 @@
 """Custom derivative rules whose arguments are the traced values only.
 
-A leaf of a model that is closed over is known: its zeros vanish from the program. A custom rule
-turns all its arguments into tracers. So `split_tracers` separates traced values from known ones.
+A leaf of a model that is closed over is constant: its zeros vanish from the program. A custom rule
+turns all its arguments into tracers. Therefore `split_tracers` separates traced values from
+constants.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from rbjax.lanes import batch_first
 
 
 def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
-    """Return the traced leaves of a pytree, and a function that replaces them by others."""
+    """Return the traced leaves of a pytree, and a function that replaces them by new values."""
     leaves, treedef = jax.tree.flatten(tree)
     where = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
 
@@ -34,37 +35,42 @@ def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
 
 
 def is_traced(tree: Any) -> bool:
-    """Whether a leaf of a pytree is traced."""
+    """Return True if a leaf of a pytree is traced."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
 def with_jvp(f: Callable, rule: Callable) -> Callable:
-    """Give f the derivative rule(primals, tangents) -> (value, rate). Tangents may be symbolic
-    zeros. Under `vmap` both return the batch first, as JAX assumes."""
+    """Return f with the derivative rule(primals, tangents) -> (value, rate).
+
+    Tangents may be symbolic zeros. Under `vmap` f and rule return the batch first, as JAX assumes.
+    """
     ruled = _custom_jvp(lambda *args: batch_first(f(*args), args), rule)
     return lambda *args: ruled(*jax_arrays(*args))
 
 
 def _custom_jvp(f: Callable, rule: Callable) -> Callable:
-    """As `with_jvp`, for an f that returns `batch_first(results, args)`, called with
-    `jax_arrays`."""
+    """Return f with a derivative rule, for an f that returns `batch_first(results, args)`.
+
+    The arguments of the result must be `jax_arrays`.
+    """
     ruled = jax.custom_jvp(f)
     ruled.defjvp(lambda at, *to: batch_first(rule(at, *to), at), symbolic_zeros=True)
     return ruled
 
 
 def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -> Callable:
-    """Differentiate the solutions x_k of residual_k(*at, x_1, ..., x_k) = 0 implicitly:
+    """Return `plain` with implicit derivatives of the solutions x_k of residual_k = 0.
 
+        residual_k(*at, x_1, ..., x_k) = 0,
         dx_k = solve_k(d residual_k(*at, x_1, ..., x_k)),   x_k held constant
 
     Args:
-        plain: *at -> the solutions, `batch_first(solutions, at)`.
-        solved: *at -> the solutions, and a function solve for each.
-        residuals: each with the sign for which `solve` maps its change to that of its solution.
+        plain: a function of *at that returns `batch_first(solutions, at)`.
+        solved: a function of *at that returns the solutions and a function solve_k for each.
+        residuals: the functions residual_k, with the sign that the equation of dx_k requires.
 
-    Call the result with `jax_arrays`. Derivatives of higher order take only the functions `solve`
-    from `solved`, not the solutions.
+    The arguments of the result must be `jax_arrays`. Derivatives of higher order use only the
+    functions solve_k from `solved`, not the solutions.
     """
 
     def tangent(primals: tuple, tangents: tuple) -> tuple:
@@ -79,7 +85,7 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
     def again(at: tuple, moving: tuple) -> tuple:
         return at[-1], tangent(at[:-1], moving[:-1])[1]
 
-    # the solutions, already computed, with a rule for the next derivative
+    # return solutions that are already computed, with a rule for the next derivative
     found = _custom_jvp(lambda *at: batch_first(at[-1], at), again)
     return _custom_jvp(plain, tangent)
 
@@ -89,8 +95,10 @@ def _held(residual: Callable, x: Any, *at: Any) -> Any:
 
 
 def jax_arrays(*args: Any) -> Any:
-    """The arguments, with a copy of each batch or tangent tracer of a NumPy array: a custom rule
-    inside a `jit` accepts only tracers of JAX arrays (jax 0.10.2 asserts this)."""
+    """Return the arguments, with tracers of NumPy arrays replaced by tracers of JAX arrays.
+
+    A custom rule inside a `jit` accepts only tracers of JAX arrays (jax 0.10.2 asserts this).
+    """
 
     def copied(x: Any) -> Any:
         return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x
@@ -99,8 +107,11 @@ def jax_arrays(*args: Any) -> Any:
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """Compute f and its tangent, as `jax.jvp`. Arguments whose tangents are symbolic zeros are not
-    differentiated. The tangent is None if all are zero."""
+    """Compute f and its tangent with `jax.jvp`, which may have symbolic zeros as tangents.
+
+    Arguments whose tangents are symbolic zeros are not differentiated. The tangent of f is None if
+    all tangents are zero.
+    """
     leaves, treedef = jax.tree.flatten(primals)
     rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
     moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]

@@ -1,8 +1,8 @@
-"""A batch that is sharded over devices stays sharded when XLA runs it in a loop.
+"""Loops of XLA over batches that are sharded over devices.
 
 Slices across the whole batch would make XLA gather it, and sums over samples would be reduced over
-the devices in every iteration. So the batch is first split into one part for each device, and the
-parts run side by side. If the batch is sharded evenly, each part lies on one device.
+the devices in every iteration. Therefore the batch is first split into one part for each device,
+and all parts run in parallel. If the batch is sharded evenly, each part is on one device.
 (Threads on a GPU: `rbjax.compiler.jax.sharding`.)
 """
 
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 
 def devices() -> int:
-    """The number of devices of a batch; inside `shard_map` each has its own batch."""
+    """Return the number of devices of a batch, which is 1 inside `shard_map`."""
     mesh = jax.sharding.get_abstract_mesh()
     if mesh.empty:
         return jax.device_count()
@@ -25,7 +25,7 @@ def devices() -> int:
 
 
 def memory_share() -> int:
-    """Bytes: an eighth of the memory of all devices, 2 GiB for a device that does not report it."""
+    """Return an eighth of the memory of all devices in bytes, 2 GiB each if it is not reported."""
     limit = (jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
     return limit // 8 * devices()
 
@@ -33,16 +33,16 @@ def memory_share() -> int:
 def on_each_device(
     f: Callable[[list], Any], args: list, axes: list[int | None], size: int, out_axis: int = 0
 ) -> Callable[[list], Any]:
-    """f of a batch, in parts that each lie on one device.
+    """Split f over a batch into parts that each run on one device.
 
-    Every part gets its own copy of the values that all samples share and f closes over. So if f
-    runs in a loop, their cotangents are summed over the devices once, at the end.
+    Every part gets its own copy of the shared values and of the values that f closes over. If f
+    runs in a loop, their cotangents are therefore summed over the devices once, at the end.
 
     Args:
-        f: takes arguments in the given layout, with any number of samples.
-        args: examples of its arguments.
-        axes: the axis of the batch in each argument, 0 or -1, or None.
-        size: of the batch.
+        f: a function of arguments in the given layout, with any number of samples.
+        args: examples of the arguments of f.
+        axes: the batch axis of each argument, 0 or -1, or None.
+        size: the size of the batch.
         out_axis: the batch axis of every result.
     """
     parts = math.gcd(size, devices())
@@ -69,7 +69,9 @@ def on_each_device(
 
 
 def parted(x: jax.Array, axis: int, count: int) -> jax.Array:
-    """A batch, on the first axis, split into `count` parts on a new first axis. A part has its
-    samples at `axis` (0 or -1)."""
+    """Split a batch on the first axis into `count` parts on a new first axis.
+
+    The samples of a part are on its axis `axis` (0 or -1).
+    """
     x = x.reshape(count, x.shape[0] // count, *x.shape[1:])
     return jnp.moveaxis(x, 1, axis) if axis else x

@@ -1,10 +1,10 @@
-"""The arithmetic operations of a function, counted in its traced program.
+"""The number of arithmetic operations of a function, counted in its traced program.
 
-The function is traced to a jaxpr, which is read from its results backwards, so operations that no
-result needs are not counted. An operation on an array counts once per element, a loop's body once
-per iteration. Data movement (reshape, slice, gather, select, compare, convert), signs and integer
-arithmetic cost nothing. Textbooks count by the same rule, e.g. Featherstone, *Rigid Body Dynamics
-Algorithms*, table 10.1. A primitive that is in no table here raises an error.
+The function is traced to a jaxpr. Only operations that a result needs are counted. An operation on
+an array counts once per element, and the body of a loop once per iteration. Data movement (reshape,
+slice, gather, select, compare, convert), signs and integer arithmetic are not counted. Textbooks
+count by the same rule, e.g. Featherstone, *Rigid Body Dynamics Algorithms*, table 10.1. An unknown
+primitive raises an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rbjax.model import Model
 
 @dataclass(frozen=True)
 class OperationCount:
-    """Floating-point operations by kind. `trigonometry` counts all transcendental functions."""
+    """Numbers of floating-point operations. `trigonometry` counts transcendental functions."""
 
     additions: int = 0
     multiplications: int = 0
@@ -49,13 +49,13 @@ class OperationCount:
 def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> OperationCount:
     """Count the arithmetic operations of `fn(*args)`, without operations that no result needs.
 
-    A `Model` among the arguments is closed over. Its numbers are constants of the program and its
-    structural zeros cost nothing, except those of leaves named in `traced`.
+    A `Model` among the arguments is closed over: its leaves are compile-time constants, except the
+    leaves in `traced`. Structural zeros of constant leaves cost nothing.
 
     Args:
         fn: any traceable function.
-        args: its arguments; arrays, pytrees of arrays, models.
-        traced: dotted names of model leaves that stay inputs, as ("bodies.mass", "bodies.com").
+        args: the arguments of fn: arrays, pytrees of arrays, models.
+        traced: dotted names of model leaves that stay inputs, such as "bodies.mass".
 
     Returns:
         `OperationCount` (additions, multiplications, divisions, roots, trigonometry, total).
@@ -107,7 +107,7 @@ def _with_leaf(model: Model, name: str, value: Any) -> Model:
 
 
 def leaf_names(model: Model) -> tuple[str, ...]:
-    """The dotted names of a model's leaves, as `operation_count(traced=...)` takes them.
+    """Return the dotted names of the leaves of a model, for `operation_count(traced=...)`.
 
     Example:
         >>> import rbjax as rb
@@ -142,7 +142,7 @@ _FREE = {
 
 
 def _walk(jaxpr: Any, wanted: Sequence[bool]) -> tuple[OperationCount, list[bool]]:
-    """Operations of a jaxpr whose `wanted` results are needed, and which inputs they need."""
+    """Count the operations of a jaxpr for its `wanted` results, and return the inputs they need."""
     live = {v for v, w in zip(jaxpr.outvars, wanted, strict=True) if w and _is_variable(v)}
     count = OperationCount()
     for eqn in reversed(jaxpr.eqns):
@@ -160,7 +160,7 @@ def _is_variable(v: Any) -> bool:
 
 
 def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
-    """Operations of one equation, and which of its inputs the wanted results need."""
+    """Count the operations of one equation, and return which inputs its wanted results need."""
     name, params = eqn.primitive.name, eqn.params
     if name == "fusion_barrier":
         return OperationCount(), out
@@ -198,9 +198,9 @@ def _open(jaxpr: Any) -> Any:
 
 
 def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
-    """A loop. Every iteration needs the part of the carry that the last one needs."""
+    """Count the operations of a loop. All iterations need the same part of the carry."""
     body = _open(eqn.params["jaxpr"])
-    n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11's equation states no counts
+    n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11 has no parameter for this
     consts = len(body.invars) - n - over_time(eqn.invars, body.invars)
     while True:
         count, needs = _walk(body, out)
@@ -211,7 +211,7 @@ def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
 
 
 def _primitive(eqn: Any) -> OperationCount:
-    """Operations of an equation that contains no jaxpr."""
+    """Count the operations of an equation that contains no jaxpr."""
     name = eqn.primitive.name
     results = [v.aval for v in eqn.outvars]
     inexact = [jnp.issubdtype(getattr(x, "dtype", jnp.int32), jnp.inexact) for x in results]
@@ -253,7 +253,7 @@ _ELIMINATIONS = {"lu", "cholesky", "triangular_solve"}
 
 
 def _elimination(eqn: Any) -> OperationCount:
-    """For matrices (..., n, n): Golub & Van Loan, *Matrix Computations*, 3-4."""
+    """Count the operations of an elimination of matrices (..., n, n) (Golub & Van Loan, 3-4)."""
     name, shape = eqn.primitive.name, eqn.invars[0].aval.shape
     n, many = min(shape[-2:]), math.prod(shape[:-2])
     half = n * (n - 1) // 2
@@ -269,7 +269,7 @@ def _elimination(eqn: Any) -> OperationCount:
 
 
 def _integer_power(y: int, size: int) -> OperationCount:
-    """x^y by repeated squaring, and one division for a negative y."""
+    """Count the operations of x^y by repeated squaring, with one division for a negative y."""
     n = abs(y)
     products = max(n.bit_length() - 1, 0) + max(n.bit_count() - 1, 0)
     return OperationCount(multiplications=size * products, divisions=size * (y < 0))

@@ -136,7 +136,7 @@ class Muscle(Record):
 
     parameters: (9,) [range of L (2); F0; scale; lmin; lmax; vmax; fpmax; fvmax].
     lengthrange: (2,) lengths of the transmission at the range of L.
-    acceleration: () acceleration by a unit force at rest.
+    acceleration: () acceleration of the transmission at rest by a unit force.
     scaled: whether F0 is scale / acceleration, and the third parameter is not used; static.
     """
 

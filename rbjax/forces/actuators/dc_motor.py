@@ -91,7 +91,7 @@ class DCMotor(ForceLaw):
     cogging: (3,) amplitude, number of poles, phase.
     voltage: whether the last control is a terminal voltage; static.
 
-    The states are those of the controller, T - Ta, z and i, if the motor has the parts.
+    The states, if present, are the states of the controller, then T - Ta, z and i.
     """
 
     windings: Windings

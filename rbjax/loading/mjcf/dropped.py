@@ -45,7 +45,7 @@ def dropped_features(
     friction: bool = False,
     constraints: bool = False,
 ) -> tuple[str, ...]:
-    """List one entry for each unsupported feature that changes the motion."""
+    """Return an entry of `Model.dropped` for each unsupported feature that changes the motion."""
     obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
 
@@ -80,7 +80,7 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """List an entry for sensors and an entry for cameras, which are not loaded."""
+    """Return the entries of `Model.dropped` about sensors and cameras, which are not loaded."""
     obj = mujoco.mjtObj
     kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
     return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)

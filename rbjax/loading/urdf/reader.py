@@ -59,7 +59,7 @@ _IGNORED = (
 class Mimics:
     """The mimic joints of a file.
 
-    couplings: constraints of joints with one coordinate; a joint that mimics a fixed joint is held.
+    couplings: constraints of joints with one coordinate; one that mimics a fixed joint is fixed.
     names: names of the couplings, "joint of driver".
     others: mimics of joints with several coordinates, which are not supported.
     """

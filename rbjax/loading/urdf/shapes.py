@@ -1,7 +1,7 @@
 """The shapes of a URDF as geoms: boxes, cylinders, spheres, capsules, and meshes.
 
-The search path of `package://name/path` is unknown. It is searched in each folder above the file,
-and in a folder above the file with the name of the package.
+The search path of `package://name/path` is unknown. So `name/path` is searched in each folder above
+the file, and `path` in a folder above the file with the name of the package.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ class Tree:
         return out
 
     def unused(self, name: str) -> str:
-        """Return the name, with a suffix if a link or joint has it already."""
+        """Return the name, with the prefix "rbjax_" if a link or joint has it already."""
         while name in self.links or any(name == joint.name for joint in self.joints):
             name = f"rbjax_{name}"
         return name

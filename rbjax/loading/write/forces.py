@@ -49,7 +49,7 @@ def write_forces(draft: Draft) -> list[Element]:
 
 
 def box_axes(model: Model) -> dict[int, Array]:
-    """Compute the attitude of each body's inertia box in a fluid, as in a file with its inertia."""
+    """Compute the attitude of each body's inertia box, as `load` reads it from the file."""
     boxes = [x for x in model.forces if type(x) is InertiaBoxFluid]
     return {b: q for x in boxes for b, q in zip(x.bodies, x.orientation, strict=True)}
 

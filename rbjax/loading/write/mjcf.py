@@ -285,7 +285,7 @@ def serialize(draft: Draft) -> str:
 
 
 def compile_mjcf(mjcf: str) -> mujoco.MjModel:
-    """Compile the text of a file that was written."""
+    """Compile the text of a file from `write_mjcf`."""
     try:
         return mujoco.MjModel.from_xml_string(mjcf)
     except ValueError as error:

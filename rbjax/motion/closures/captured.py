@@ -46,7 +46,7 @@ _levels: weakref.WeakKeyDictionary[Any, int] = weakref.WeakKeyDictionary()
 
 
 class UnfitError(Exception):
-    """A function does not run as it was read; read it again at another level."""
+    """Raised if a function does not run as it was read; read it again at another level."""
 
     def __init__(self, site: Any, level: int) -> None:
         super().__init__(site, level)

@@ -47,12 +47,12 @@ Maker = Callable[[Sequence, dict[int, Any]], Any] | None
 
 
 class UnreadableError(Exception):
-    """A function may read values that the reader cannot find."""
+    """Raised if a function may read values that the reader cannot find."""
 
 
 class HiddenError(UnreadableError):
-    """A user's code reads variables or files without naming them, so its result may change while
-    its key does not. Arguments: the name of the code, and the function by which it reads."""
+    """Raised if a user's code reads variables or files without naming them, so that its result may
+    change without its key. Arguments: the name of the code, and the function by which it reads."""
 
 
 class Same:
@@ -78,7 +78,7 @@ PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """A traversal of a function and the values that it reaches; each gives a key and a maker.
+    """Traversal of a function and the values that it reaches, with a key and a maker for each.
 
     operands: the numbers read so far.
 
@@ -202,7 +202,7 @@ class Reader:
         make: Callable[[list], Any] = list,
         names: frozenset[str] = frozenset(),
     ) -> tuple[Any, Maker]:
-        """Read the parts of an object; return a key with them, and a maker of the object."""
+        """Read the parts of an object; return its key, and the function that rebuilds it."""
         parts = list(parts)
         read = [self.read(x, held, names) for x in parts]
         key = (about, *(k for k, _ in read))

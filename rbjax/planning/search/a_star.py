@@ -281,9 +281,8 @@ class _AStar(WaveSearch):
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """Remove and return nodes of least f that represent their cells, and their last interval
-        of f.
-        """
+        """Remove and return nodes of least f that represent their cells, and their last interval of
+        f."""
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):

@@ -71,7 +71,8 @@ class SweptMap:
         return self.values.ravel()[(i * ny + j).astype(np.intp)] - self.h * np.sqrt(u * u + v * v)
 
     def free(self, x: np.ndarray, y: np.ndarray, k: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """Test whether motions (n,) from x, y, m, and headings of index k are free."""
+        """Test whether motions (n,) are free, from positions x, y (n,) m and heading indices k
+        (n,)."""
         free = self.below(x, y) > self.safe
         test = np.flatnonzero(~free)
         motion = k[test] * self.controls + control[test]

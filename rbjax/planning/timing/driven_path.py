@@ -79,10 +79,8 @@ class DrivenPath(NamedTuple):
 
 
 def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
-    """Integrate one step of the classical Runge-Kutta method.
-
-    slope: (y, fraction of the step) -> y'. Stages are scanned, which compiles to a smaller program.
-    """
+    """Integrate one Runge-Kutta step of y' = slope(y, fraction of the step), with scanned
+    stages."""
 
     def stage(carry, weights):
         k, total = carry

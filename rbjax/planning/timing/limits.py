@@ -139,11 +139,11 @@ class Timed(Record):
         return self.ts[..., 1:] - self.ts[..., :-1]
 
     def sampled(self, steps: int) -> tuple[jax.Array, jax.Array]:
-        """Resample the controls to (steps, nu) for `wheeled.rollout`. Return them and the step dt,
+        """Resample the controls to (steps, nu) for `wheeled.rollout`. Return them and the step in
         s.
 
-        They are means over equal times, which preserves the impulse of every torque. It is for one
-        motion; use `jax.vmap` for many.
+        The samples are means over equal times, which preserves the impulse of every torque. For
+        many motions, use `jax.vmap`.
         """
         impulse = jnp.cumsum(self.durations[:, None] * self.controls, 0)
         impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])

@@ -45,9 +45,7 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Status: "found", or "infeasible" if limits do not hold at rest or the path steers
-        too far.
-        """
+        """Status: "found", or "infeasible" if no speed satisfies the limits."""
         return "found" if bool(self.ok) else "infeasible"
 
 

@@ -77,7 +77,7 @@ class Factored:
             self._solve = _by_shift(S, jnp.where(E > 0, E, 1.0))
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:
-        """Solve matrix x = r for x (s, n + m), regularized towards w = c (s, m)."""
+        """Solve matrix x = r once, for x (s, n + m), regularized towards w = c (s, m)."""
         s = len(r)
         n = len(self._matrix.rates) // s
         k = lu_solve(self._rates, r[:, :n].ravel())

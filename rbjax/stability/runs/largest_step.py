@@ -1,10 +1,9 @@
 """The largest step at which a method is stable on a robot's motion: predicted, and measured.
 
-A method is stable at a step h if it makes no mode of the linearised motion grow that does not grow
-in the exact motion: h lambda lies in the stability region for every eigenvalue lambda of A
-(`linearisation`) with Re lambda <= 0. For methods for q' = v, v' = K q + D v the matrix of the
-method's own step is used. It must not have more eigenvalues outside the unit circle than the pair
-has growing modes.
+A method is stable at a step h if every mode that grows also grows in the exact linearised motion.
+So h lambda must lie in the stability region for every eigenvalue lambda of A (`linearisation`) with
+Re lambda <= 0. For methods for q' = v, v' = K q + D v the matrix of the method's own step is used.
+It must not have more eigenvalues outside the unit circle than the pair has growing modes.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
 def _prepared(
     where: str, system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int
 ) -> tuple:
-    """Return the term, the solver with loops that support tangents, the state and the arguments."""
+    """Return the term, a solver that can be differentiated forward, the state and the arguments."""
     solver = rkmk(4) if solver is None else fixed_step_solver(solver)
     term, y0, args = resolve_system(where, system, y0, solver, args)
     y0 = as_floats(where, y0)

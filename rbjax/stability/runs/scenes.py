@@ -158,7 +158,7 @@ class Body:
     weight: float = 0.0
 
     def term(self, dtype: Any = float) -> RigidBody:
-        """Return the term for solvers on groups. Its args is the weight."""
+        """Return the term for solvers on groups. The weight is its `args`."""
         return RigidBody(np.array(self.inertia, dtype), _tipping)
 
     def energy(self, turn: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -173,7 +173,7 @@ def _simplest(method: Method) -> Method:
 
 
 def _bounded(method: Method) -> bool:
-    """Return whether no root exceeds one in modulus as z goes to infinity."""
+    """Return whether all roots have modulus at most one as z goes to infinity."""
     return at_infinity(method) <= 1
 
 

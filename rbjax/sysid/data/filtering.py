@@ -1,7 +1,7 @@
 """Zero-phase low-pass filters, differentiation and interpolation of sampled signals.
 
 A filter that runs forward and backward has no delay, and the square of the amplitude of one pass.
-The cut-off frequency is that of both passes together, with an amplitude of 1/sqrt(2).
+At the cut-off frequency the amplitude of both passes together is 1/sqrt(2).
 
     even clock      Butterworth of order n, forward and backward: |H|^2 = 1 / (1 + w^(2n)), where
                     w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off.

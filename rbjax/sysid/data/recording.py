@@ -207,8 +207,7 @@ class Recording:
     def start_is_known(self) -> bool:
         """Whether the initial state is known exactly.
 
-        It is known if `initial_state` is given, or if the only sample of channel v is its first
-        one.
+        It is known if `initial_state` is given, or if v has no sample except its first one.
         """
         if self.initial_state is not None:
             return True

@@ -134,7 +134,7 @@ class Identified(HasStatus):
 
     @property
     def judged_sensor(self) -> str:
-        """The sensor whose error judges the fit.
+        """The sensor that `validate` uses by default.
 
         It is "q", or the first sensor that depends on an unknown if q has too few samples.
         """
@@ -147,7 +147,7 @@ class Identified(HasStatus):
     @property
     @in_double
     def insensitive_sensors(self) -> tuple[str, ...]:
-        """The sensors whose readings depend on no unknown, and contain no information."""
+        """The sensors with readings that depend on no unknown, and contain no information."""
         still = self.error.insensitive(self.estimates.values)
         seen = self.traces.values()
         return tuple(s for s in still if any(sensors[s].measured for sensors in seen))

@@ -115,9 +115,9 @@ def search(
     tolerances: Tolerances = OF_SQUARES,
     watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
 ) -> Generator[Request | Minimum, Any, None]:
-    """Minimise as a generator of requests, which allows to answer many searches as one batch.
+    """Minimise an objective as a generator of requests, so that many searches run as one batch.
 
-    The last value of the generator is the `Minimum`.
+    The caller sends the answer to each `Request`. The last value is the `Minimum`.
 
     Args:
         D: (x, x0) -> divergence.

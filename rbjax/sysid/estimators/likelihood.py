@@ -1,8 +1,8 @@
 """Likelihood of recordings of a motion with process noise, with gradient and information.
 
     l(p) = sum over samples of  z^T S^-1 z + log det 2 pi S         (twice the negative logarithm)
-z are the innovations of an extended Kalman filter (`rb.estimation`), and S their covariance. With S
-= L L^T, the gradient and Fisher information of l are those of least squares with the rows
+z are the innovations of an extended Kalman filter (`rb.estimation`), and S their covariance.
+With S = L L^T, l has the gradient and Fisher information of a least-squares problem with the rows
 
     J = [L^-1 dz;  L^-1 dS L^-T / sqrt 2],      r = [L^-1 z;  (1 - L^-1 z z^T L^-T) / sqrt 2],
     dl = 2 J^T r,    F = J^T J

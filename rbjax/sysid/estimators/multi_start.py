@@ -122,7 +122,7 @@ def many_starts(
         model: robot with first guesses, or a `Setup`.
         recordings: recordings, as in `identify`.
         unknowns: name -> unknown, as in `identify`.
-        guesses: number of guesses, including that of the model; or an array (K, n) in the order of
+        guesses: number of guesses, including the model; or an array (K, n) in the order of
             the unknowns.
         spread: size of the changes. Positive parameters change by factors up to e^spread, free ones
             up to spread times their scale, and log-Cholesky coordinates of inertias up to spread /

@@ -101,7 +101,7 @@ class Predicted(HasStatus):
     def innovations(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
         """Compute the errors of one-step predictions (samples, rows) by recording.
 
-        Missing samples are nan. None: the fitted recordings.
+        The default are the fitted recordings. Missing samples are nan.
         """
         names, series, f = self._filter(recordings)
         z = np.where(np.asarray(series.arrived), np.asarray(f.innovation), np.nan)
@@ -110,7 +110,7 @@ class Predicted(HasStatus):
 
     @in_double
     def whitened(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
-        """Compute the whitened innovations L^-1 z, by recording. Their true variance is 1."""
+        """Compute the whitened innovations L^-1 z by recording (variance 1 for a true model)."""
         off = self.innovations(recordings)
         S = np.asarray(self._filter(recordings)[2].innovation_covariance)
         each = np.linalg.solve(np.linalg.cholesky(S), np.nan_to_num(list(off.values()))[..., None])
@@ -121,9 +121,9 @@ class Predicted(HasStatus):
 
     @in_double
     def smoothed(self, recordings: Sequence[Recording] | None = None) -> dict[str, Smoothed]:
-        """Compute smoothed states (samples, ...) with covariances, by recording.
+        """Compute smoothed states (samples, ...) with covariances, at grid instants, by recording.
 
-        The states are at the instants of the grid. None: the fitted recordings.
+        The default are the fitted recordings.
         """
         names, _, f = self._filter(recordings)
         space = self.likelihood.space(cast(self.setup, np.float64))

@@ -137,7 +137,7 @@ class StagedFit:
         return x
 
     def retry_if_poor(self, fit: Fit) -> Fit:
-        """If a fit is poor, try growing fits from several guesses, and return the best fit."""
+        """Retry a poor fit with growing fits from several guesses, and return the best fit."""
         restarts = self.options.restarts
         why = "the first guess failed" if not np.isfinite(fit.minimum.cost) else ""
         why = why or self._why_poor(fit)
@@ -232,7 +232,7 @@ class StagedFit:
             if not matters and best.minimum.success:
                 break
             found = self._refit(other, best.minimum.x)
-            if found.minimum.cost > 2 * best.minimum.cost:  # simulated data with long steps
+            if found.minimum.cost > 2 * best.minimum.cost:  # data simulated with long steps
                 break
             worst, needed = max(worst, error), needed or matters or found.minimum.success
             best = found._replace(noise_estimated=fit.noise_estimated)

@@ -67,7 +67,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """Compute the sum of the divergences of the distances to the finite bounds."""
+        """Compute the divergence of bounded parameters, as a sum over the finite bounds."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))

@@ -190,8 +190,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
         margin: least ratio of the smallest to the largest eigenvalue, above 0.
 
     Returns:
-        (..., 4, 4), nearest to P in the Frobenius norm. P is returned unchanged if it is
-        consistent.
+        (..., 4, 4), nearest to P in the Frobenius norm. A valid P is returned unchanged.
 
     Source: Higham, Linear Algebra Appl. 103, 1988.
 
@@ -284,7 +283,7 @@ def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
 
     Args:
         P: (..., 4, 4) positive definite pseudo-inertia.
-        Q: (..., 4, 4) positive definite pseudo-inertia, such as that of the CAD model.
+        Q: (..., 4, 4) positive definite pseudo-inertia, such as a prior from the CAD model.
 
     Raises:
         InputError: a matrix that is not positive definite (only outside of a trace).

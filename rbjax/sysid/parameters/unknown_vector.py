@@ -131,7 +131,7 @@ def check_prior(where: str, label: str, u: Any) -> None:
 def draw_guesses(
     unknowns: Unknowns, target: Any, count: int, spread: float, seed: int
 ) -> np.ndarray:
-    """Draw guesses (count, n) by a Sobol sequence. The first guess is that of the set-up.
+    """Draw guesses (count, n) by a Sobol sequence. The first guess is read from the set-up.
 
     With z in (-spread, spread), positive parameters are p exp(z), and free ones p + scale z.
     Parameters with two bounds are uniform between them. The distance to a single bound is

@@ -271,7 +271,7 @@ class Derived(Scalars):
 
 
 def put(array: Any, index: Any, new: Any) -> jax.Array:
-    """Replace an entry of an array, with numpy unless it is traced, which is 100 times faster."""
+    """Replace an entry of an array. Untraced arrays use numpy, which is 100 times faster."""
     if any(isinstance(x, jax.core.Tracer) for x in (array, new)):
         return jnp.asarray(array).at[index].set(new)
     out = np.array(array)

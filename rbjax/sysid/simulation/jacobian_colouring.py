@@ -7,7 +7,7 @@ Math. 13, 1974).
 
 Inertial parameters and armatures change a motion only through the base parameters:
 
-
+    tau = Y(q, v, a) p,   Y_dropped = Y_kept K   so   J_dropped = J_kept K
 
 Derivatives along the kept parameters are sufficient (Gautier & Khalil, IEEE Trans. Robotics and
 Automation 6(3), 1990).

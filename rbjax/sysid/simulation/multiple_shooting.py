@@ -1,10 +1,9 @@
 """Multiple shooting: a long motion as segments with separate initial states.
 
     min  sum_k |r_k(p, s_k)|^2 + w^2 sum_k |end_k(p, s_k) (-) start_(k+1)(p, s_(k+1))|^2
-r_k is the simulation error of segment k. Over a long time a simulation from one initial state is so
-sensitive to poor parameters, or chaotic, that the error has many minima. Segments are short, with
-initial states near the recording. The continuity weight w increases in stages, until the segments
-are one motion.
+r_k is the simulation error of segment k. A long simulation from one initial state is very sensitive
+to the parameters, so its error has many minima. Segments are short, with initial states near the
+recording. The continuity weight w increases in stages, until the segments are one motion.
 
 Source: Bock, *Numerical treatment of inverse problems in chemical reaction kinetics*, 1981;
 Voss, Timmer & Kurths, Int. J. Bifurcation and Chaos 14(6), 2004 (chaotic motion).
@@ -69,9 +68,10 @@ def make_programs(
     def slopes(
         x: jax.Array, runs: Run, weight: jax.Array
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """Compute r and the gaps, with their derivatives by each entry of the segment's x.
+        """Compute r and the gaps, and their derivatives by each entry of the segments' x.
 
-        The derivatives are those of r, of the gap after the segment, and of the gap before it.
+        The derivatives of a gap by the segment before it and by the segment after it are separate
+        arrays.
         """
         gaps = jax.vmap(functools.partial(gap, weight=weight))
 

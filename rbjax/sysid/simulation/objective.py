@@ -140,7 +140,7 @@ def squares(
 
 
 def faster(numbers: int, runs: int, itemsize: int) -> str:
-    """Choose the faster mode from the numbers of unknowns of a run, runs, and bytes of a float.
+    """Choose the faster mode for `numbers` unknowns of each of `runs` runs.
 
     >>> faster(2, 64, 8), faster(55, 64, 8), faster(2, 1, 8)
     ('forward', 'reverse', 'reverse')

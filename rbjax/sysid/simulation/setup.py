@@ -62,7 +62,7 @@ class PD(Record):
 
 
 class Setup(Record):
-    """A model with its sensors, controller and delay, whose parameters can all be unknown.
+    """A model with its sensors, controller and delay. All parameters can be unknown.
 
     Fields:
         model: robot.

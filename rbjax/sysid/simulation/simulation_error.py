@@ -152,9 +152,7 @@ class SimulationError:
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = (
-            estimate_initial_state is True
-        )  # also the known initial states
+        self.all_starts = estimate_initial_state is True  # also the known initial states
         self.runs = self._mark_known(runs)
         if estimate_initial_state is None:
             estimate_initial_state = not np.asarray(runs.known).all()
@@ -250,7 +248,7 @@ class SimulationError:
         return found
 
     def insensitive(self, x: np.ndarray) -> tuple[str, ...]:
-        """Find the sensors whose readings depend on no unknown."""
+        """Find the sensors with readings that depend on no unknown."""
         J = np.abs(self.slopes(x)[1][:, :, : self.shared])
         least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)

@@ -184,10 +184,11 @@ def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarra
 def _scores(
     columns: Sequence[Column], scaled: Sequence[Sequence[np.ndarray]], rho: np.ndarray
 ) -> list[np.ndarray]:
-    """Compute the scores (samples, rank) of each run, with the sum J^T psi.
+    """Compute the scores (samples, rank) of each run. Their sum over the samples is J^T psi.
 
-    psi is modelled as a first-order process with innovations e. Each e counts with its effect on
-    all later psi: sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t.
+    psi is modelled as a first-order process with innovations e. The score v_s e_s of a sample is
+    the effect of its innovation on all later psi: sum_t G_t psi_t = sum_s v_s e_s,  v_s =
+    sum_(t>=s) rho^(t-s) G_t.
     """
     found = []
     for k in range(len(columns[0].runs)):

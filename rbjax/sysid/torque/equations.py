@@ -1,7 +1,7 @@
 """Linear equations W pi = tau + noise, their weighted least squares, and residual statistics.
 
 X, the columns of the base parameters, is factored once, X = Q R. For weights 1 / s the solution is
-A z = Q^T S^-2 tau with A = Q^T S^-2 Q, and R beta = z. The condition of A is that of the weights. A
+A z = Q^T S^-2 tau with A = Q^T S^-2 Q, and R beta = z. A has the condition number of the weights. A
 change of the weights costs one matrix product.
 """
 
@@ -117,7 +117,7 @@ def equations(
 ) -> Equations:  # fmt: skip
     """Check the equations W pi = tau, the input of the estimators of `METHODS`.
 
-    The arguments and errors are those of `regress`.
+    The arguments and errors are described in `regress`.
 
     Example:
         >>> import numpy as np

@@ -69,7 +69,7 @@ class TorqueRows:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """Compute dW/dz, one direction of z at a time to save memory."""
+        """The derivatives dW/dz (N, nv, p, nv), computed at the first access."""
         return self.slopes_of()
 
     def at(self, zeros: Any) -> Array:
@@ -210,7 +210,7 @@ def torque_rows(
 
     @in_double
     def slopes() -> Array:
-        """dW/dz, one direction of z at a time, to keep only its decimated rows."""
+        """Compute dW/dz, one direction of z at a time to save memory."""
         each = (_slope(double, at, jnp.asarray(e), motion, **how) for e in np.eye(z.size))
         return np.stack([filtered(np.asarray(x)[:n]) for x in each], -1)
 
@@ -271,7 +271,7 @@ def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Ch
 
 
 def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
-    """Check both cut-off frequencies, and return that of the signals in Hz."""
+    """Check both cut-off frequencies, and return the cut-off of the signals in Hz."""
     check_cutoff(where, "cutoff", cutoff, h)
     if signal_cutoff is not None:
         check_cutoff(where, "signal_cutoff", signal_cutoff, h)

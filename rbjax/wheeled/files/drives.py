@@ -1,10 +1,10 @@
-"""The drives of a robot file: the file's actuators, or a user's motors.
+"""The drives of a robot file, from its actuators or from motors given by the user.
 
 An actuator on hinges has arms r, gain k and bias b (MuJoCo, *Computation*, actuation):
 
     tau_j = r_j f,   f = k u + b_0 + b_1 l + b_2 l',   l' = sum r_j v_j
     b = 0              a `TorqueSource` with the split k r
-    b = (0, 0, -k)     a `SpeedServo` of gain k with the split r, its limit the force range
+    b = (0, 0, -k)     a `SpeedServo` of gain k with the split r, limited by the force range
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ _FIX = "give drives={'a wheel': a Motor, ('left', 'right'): a Motor on a differe
 def drives_of(
     roles: Roles, wheels: Sequence[FileWheel], given: Any, out: LeftOut
 ) -> tuple[Drive, ...]:
-    """Make drives in the order of `given`, or of the file's actuators. If the file has no actuators
-    on wheels, each has a torque, except casters.
+    """Make drives in the order of `given`, or of the file's actuators if it is None.
+
+    If the file has no actuators on wheels, each wheel except casters has a torque source.
 
     Raises:
         InputError: an actuator of another law, several on one wheel, no motors.

@@ -1,6 +1,7 @@
-"""The joints of a robot file that are wheels, steerings, casters and hitches; all others are held.
+"""Roles of the joints of a robot file: wheels, steerings, casters and hitches; all others are
+locked.
 
-A wheel is below the chassis or a trailer, and at most one steering or caster:
+A wheel is below the chassis or a trailer, with at most one steering or caster between them:
 
     chassis [- hitch - trailer]* [- steering | - caster] - wheel
 """
@@ -21,7 +22,11 @@ Patterns = str | Iterable[str]
 
 @dataclass(frozen=True)
 class Roles:
-    """Indices of joints. steerings: one tuple for each `Steering`. hitches: parents first."""
+    """Indices of the joints of each role.
+
+    steerings: one tuple for each `Steering`.
+    hitches: of trailers, parents first.
+    """
 
     rest: AtRest
     wheels: tuple[int, ...]
@@ -38,12 +43,12 @@ class Roles:
         return self.rest.joint_names[j]
 
     def body(self, j: int) -> int:
-        """Return the index of the body above a joint: 0 the chassis, k trailer k."""
+        """Return the index of the body above a joint: 0 for the chassis, k for trailer k."""
         found = [k for k, h in enumerate(self.hitches, start=1) if h in self.rest.above(j)]
         return max(found, default=0)
 
     def turntable(self, wheel: int) -> int | None:
-        """Return the steering or caster of a wheel, or None."""
+        """Return the joint of the steering or caster of a wheel, or None."""
         above = self.rest.above(wheel)
         return next((j for j in self.turntables if j in above), None)
 
@@ -62,7 +67,7 @@ class Roles:
         return found
 
     def bodies(self, k: int) -> set[int]:
-        """Return the file's bodies of the chassis or of trailer k, without further trailers."""
+        """Return the file's bodies that form the chassis or trailer k, without further trailers."""
         root = self.rest.tree(self.rest.root(self.wheels[0]))
         own = set(self.rest.behind(self.hitches[k - 1]) if k else root)
         for hitch in self.hitches:
@@ -78,10 +83,11 @@ def roles(
     casters: Patterns,
     trailers: Patterns,
 ) -> Roles:
-    """Find the joints by names or patterns.
+    """Find the joints of all roles by names or patterns.
 
     Raises:
-        UnknownName, InputError: no such joint, not a hinge, named twice, or not in this order.
+        UnknownName: no such joint.
+        InputError: a joint is not a hinge, is named twice, or is not in the required tree.
     """
     groups: list[tuple[int, ...]] = []
     for given in [steerings] if isinstance(steerings, str) else steerings:
@@ -138,7 +144,8 @@ def hinges(rest: AtRest, what: str, patterns: Patterns) -> list[int]:
 
 
 def check_upright(roles: Roles, j: int, what: str, tolerance: float) -> float:
-    """Return the sine of the lean of a steering, caster or hitch; raise if it is large."""
+    """Return the sine of the lean of a steering, caster or hitch. Raise InputError if it is too
+    large."""
     tilt = float(np.hypot(*roles.rest.axis(j)[:2]))
     if tilt > tolerance:
         raise InputError(
@@ -178,7 +185,7 @@ def _check_tree(roles: Roles) -> None:
 
 
 def _listed(rest: AtRest, above: int | None = None) -> str:
-    """List the hinges, all or those below a joint, as text."""
+    """Format the names of the hinges as text, all or only the hinges below a joint."""
     found = [
         repr(name)
         for j, name in enumerate(rest.joint_names)

@@ -1,10 +1,10 @@
-"""`from_file`: a wheeled robot from an MJCF or URDF file with the names of its wheels' joints.
+"""`from_file`: read a wheeled robot from an MJCF or URDF file and the names of its wheel joints.
 
-The file is held at one configuration, at which its wheels stand on level ground. A body of the
-robot is the composite of the file's bodies on it,
+The robot is in one configuration, in which its wheels are on level ground. A body of the robot is
+the composite of the file's bodies on it,
 
     m = sum m_i,   m c = sum m_i c_i,   I_z = sum I_zi + m_i |c_i - c|^2
-less the masses and inertias of its wheels.
+minus the masses and inertias of its wheels.
 (Featherstone, *Rigid Body Dynamics Algorithms*, 2.13)
 """
 
@@ -50,43 +50,42 @@ def from_file(
     tolerance: float = 0.01,
     strict: bool = False,
 ) -> Robot:
-    """Read a wheeled robot from an MJCF or URDF file whose wheel joints are named.
+    """Read a wheeled robot from an MJCF or URDF file and the names of its wheel joints.
 
-    Names are names of hinges, or glob patterns such as "*_wheel". All other joints are held. The
+    Names are names of hinges, or glob patterns such as "*_wheel". All other joints are locked. The
     ground is level and touches all wheels.
 
     A wheel's rate, torque, control and angle in q have the sign of its joint. Its heading is the
     direction in which it rolls at a positive rate, so it is pi for a wheel whose axle points to the
     right. A caster's wheel turns at a positive rate if it rolls ahead of its pivot. Angles of
-    steerings, trailers and casters are positive to the left for any axis of the file; those of
-    steerings and trailers are zero at the held configuration. Each wheel's `shaft` is the name of
+    steerings, trailers and casters are positive to the left for any axis of the file. Angles of
+    steerings and trailers are zero in the given configuration. Each wheel's `shaft` is the name of
     its joint.
 
     Args:
-        source: what `rbjax.load` takes.
-        wheels: hinges of wheels, those of casters with them.
-        steerings: vertical hinges of steered wheels; a tuple of several is one steering with
+        source: as for `rbjax.load`.
+        wheels: hinges of wheels, including the wheels of casters.
+        steerings: vertical hinges of steered wheels. A tuple of several is one steering with
             Ackermann's geometry.
         casters: vertical hinges of casters.
         trailers: vertical hinges at which trailers are coupled.
         skids: wheels that may slide sideways, or True for all of a skid-steer robot. It turns on
             the axis through their middle. Steered wheels, casters and rollers do not skid.
-        rollers: wheels of free rollers, with the angle of the rollers' axes from the heading to the
-            left, rad.
+        rollers: wheel -> angle of the axes of its free rollers from the heading to the left, rad.
         drives: names of driven wheels; a tuple of names for wheels behind one differential; or a
-            mapping of these to motors. None: the file's torque and speed actuators on wheels; if it
-            has none, a torque on each wheel except casters.
-        shafts: names of shafts, with the wheels that turn together on each.
-        radius: m, of all wheels or by name. None: the farthest point from the axle of each wheel's
-            shapes, collision shapes if there are any.
-        lag: s, of all steerings, see `Steering`.
-        q: the configuration: None, that of the file; a keyframe's name; values of joints by name;
-            or (nq,).
-        frame: a body or site whose x axis is ahead, and below whose origin the chassis' frame lies
-            on the ground. None: the root body.
+            mapping of these to motors. None: the file's torque and speed actuators on wheels, or a
+            torque on each wheel except casters if there are none.
+        shafts: name of a shaft -> the wheels that turn together on it.
+        radius: of all wheels or by name, m. None: the largest distance of each wheel's shapes from
+            its axle, of collision shapes if there are any.
+        lag: of all steerings, s; see `Steering`.
+        q: the configuration: None for the file's; a keyframe's name; values of joints by name; or
+            (nq,).
+        frame: a body or site. Its x axis is forward, and the chassis' frame is on the ground below
+            its origin. None: the root body.
         tolerance: the largest angles of axles and steerings from the horizontal and vertical, rad,
-            and the largest differences of height, as parts of the largest radius.
-        strict: raise instead of warning about approximations.
+            and the largest difference of height, as a fraction of the largest radius.
+        strict: whether to raise an error for approximations instead of a warning.
 
     Returns:
         `Robot`. A warning lists the approximations: wheels that are not balanced about their axles;
@@ -153,19 +152,22 @@ def from_file(
 
 @dataclass(frozen=True)
 class View:
-    """The frames of the chassis and of trailers, with parallel axes: origins on the ground, and
-    the rotation turn (3, 3) from their axes to the world's."""
+    """The frames of the chassis and of trailers, with parallel axes.
+
+    origins: on the ground, in the world.
+    turn: (3, 3), the rotation from their axes to the world's.
+    """
 
     roles: Roles
     origins: tuple[np.ndarray, ...]
     turn: np.ndarray
 
     def seen(self, point: np.ndarray, k: int) -> np.ndarray:
-        """Express a point of the world in the frame of a body."""
+        """Express a point of the world in the frame of body k."""
         return self.turn.T @ (point - self.origins[k])
 
     def angle(self, ahead: np.ndarray) -> float:
-        """Compute the heading of a direction."""
+        """Compute the heading angle of a direction in the world."""
         x, y, _ = self.turn.T @ ahead
         angle = float(np.arctan2(clean(y), x))
         return np.pi if angle == -np.pi else angle
@@ -203,7 +205,7 @@ def view_of(named: Roles, found: Sequence[FileWheel], frame: str | None, toleran
 
 
 def bodies_of(view: View, found: Sequence[FileWheel], out: LeftOut) -> list[Body]:
-    """Compute the chassis and the trailers, without their wheels."""
+    """Compute the chassis and the trailers, without the masses and inertias of their wheels."""
     named = view.roles
     rest, made = named.rest, []
     forks = {b for j in named.casters for b in rest.behind(j)}
@@ -241,7 +243,7 @@ def clean(x: Any) -> Any:
 
 
 def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, float]:
-    """Parameters by joints, of numbers by names."""
+    """Convert a mapping by names or patterns of wheels to a mapping by joint indices."""
     pairs = _mapping(what, given).items()
     return {j: value for name, value in pairs for j in named.wheels_named(what, name)}
 
@@ -264,7 +266,7 @@ def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> 
 
 
 def _gravity(view: View) -> tuple[float, np.ndarray]:
-    """Compute the size of gravity, and the slope of the level ground of the file."""
+    """Compute the magnitude of gravity, and the slope of the ground that is level in the file."""
     g = view.turn.T @ view.roles.rest.gravity
     if g[2] > 0 or (g[2] == 0 and g.any()):
         raise InputError(

@@ -1,8 +1,8 @@
-"""The wheels of a robot file: places, radii, inertias.
+"""The wheels of a robot file: positions, radii, inertias.
 
-The heading of a wheel is a x z, with a along its axle and z up. A steered wheel has its place on
-the axis of its steering, and the mass of all bodies that turn with it. A caster has its place on
-the axis of its pivot, and the mass with its fork.
+The heading of a wheel is a x z, with a along its axle and z up. The position of a steered wheel is
+on the axis of its steering, and its mass includes all bodies that turn with it. The position of a
+caster is on the axis of its pivot, and its mass includes the fork.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class FileWheel:
-    """A wheel in world axes, in m and kg.
+    """A wheel of a file in world axes, in m and kg. Other fields are as in `Wheel`.
 
-    place: (3,) at the height of the axle. ahead: (3,) the heading, or the direction in which a
-    caster rolls. sense: -1 for a caster that rolls ahead at negative rates of its joint, else 1.
-    The other fields are those of `Wheel`.
+    joint: the index of its hinge.
+    place: (3,), its position at the height of the axle.
+    ahead: (3,), the heading, or the direction in which a caster rolls.
+    sense: -1 for a caster that rolls ahead at negative rates of its joint, else 1.
     """
 
     joint: int
@@ -51,18 +52,18 @@ class FileWheel:
 
 @dataclass
 class LeftOut:
-    """Descriptions of the parts of a file that the robot does not have."""
+    """Descriptions of the features of a file that the robot does not have."""
 
     found: list[str] = field(default_factory=list)
 
     def add(self, what: str, size: float, scale: float, unit: str = "mm") -> None:
-        """Note a size that is larger than rounding errors."""
+        """Add a note if a size exceeds rounding errors."""
         if abs(size) > ROUNDING * scale:
             factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
             self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
 
     def resisting(self, roles: Roles, j: int, *, damps: bool = False) -> None:
-        """Note the friction and springs of a hinge, and its damping unless `damps`."""
+        """Add notes of the friction and springs of a hinge, and of its damping unless `damps`."""
         if roles.rest.damping(j) and not damps:
             self.found.append(f"{roles.name(j)}: damping")
         self.found += [f"{roles.name(j)}: {what}" for what in roles.rest.resisting(j)]
@@ -71,11 +72,12 @@ class LeftOut:
 def file_wheels(
     roles: Roles, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
 ) -> list[FileWheel]:
-    """Read all wheels, with a radius or radii by joint, and the angles of rollers by joint.
+    """Read all wheels.
+
+    radius: for all wheels, or by joint. rollers: joint -> angle of the rollers.
 
     Raises:
-        InputError: a wheel without a shape, that leans, or that is not on one plane with the
-            others.
+        InputError: a wheel without a shape, that leans, or that is not on one plane with the rest.
     """
     shapes = roles.rest.round_shapes(roles.wheels)
     wheels = [
@@ -176,8 +178,8 @@ def _caster(
 def _pivot(
     roles: Roles, table: int, what: str, centre: np.ndarray, tolerance: float, out: LeftOut
 ) -> tuple[np.ndarray, Composite]:
-    """Return the place of a steering or caster, at the height of its wheel's centre, and the
-    composite body that turns with it."""
+    """Return the position of a steering or caster at its wheel's height, and the body that it
+    turns."""
     leaning = check_upright(roles, table, what, tolerance)
     out.add(f"{roles.name(table)}: an axis that leans by", leaning, 1.0, "degrees")
     place = roles.rest.anchor(table)
@@ -186,7 +188,7 @@ def _pivot(
 
 
 def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
-    """Return the given radius of a wheel, or that of its shape, and its centre on the axle."""
+    """Return the radius of a wheel, if given, or else of its shape, and its centre on the axle."""
     given = radius.get(j) if isinstance(radius, Mapping) else radius
     if given is not None:
         if not (isinstance(given, (int, float)) and 0 < given < np.inf):

@@ -1,6 +1,7 @@
-"""`write_mjcf`: a wheeled robot on a plane as an MJCF file.
+"""`write_mjcf`: write a wheeled robot on a plane as an MJCF file.
 
-The bodies and joints are those of `full_model(robot, "free")`, in the same order. Added are
+The bodies and joints are the bodies and joints of `full_model(robot, "free")`, in the same order.
+In addition the file has
 
     wheel i      a shape about its centre that touches only the plane "ground"
     drive j      an actuator with the motor's law, on the axle of its wheel, or on the fixed tendon
@@ -12,11 +13,15 @@ The bodies and joints are those of `full_model(robot, "free")`, in the same orde
     shafts       wheels on one shaft, and the rotor of a differential, as equalities
     resistance   rolling resistance as friction loss of axles, at the loads at rest
 
-MuJoCo's contacts are soft. With solref = (T, 1), solimp = d and b = 2 / (d T), a wheel sinks by
-g (1 - d) T^2 under the weight, creeps at f R / b under a traction f, where R falls as
-(1 - d) / impratio, and slides at J' v / b, because its rows ask for J v' = -b J v: speed * turning
-rate / b across the wheel in a curve. All three vanish as T -> 0. T is at least twice the timestep.
-A trailer's hinge carries moments of pitch and roll; the coupling of `forces` carries none.
+MuJoCo's contacts are soft. With solref = (T, 1), solimp = d and b = 2 / (d T), a wheel
+
+    sinks by   g (1 - d) T^2 under the weight,
+    creeps at  f R / b under a traction f, with R proportional to (1 - d) / impratio,
+    slides at  J' v / b, that is speed * turning rate / b across the wheel in a curve, because the
+               rows enforce J v' = -b J v.
+
+All three vanish as T -> 0. T is at least twice the timestep. A trailer's hinge transmits pitch and
+roll moments; the coupling of `forces` does not.
 """
 
 from __future__ import annotations
@@ -48,7 +53,7 @@ SHAPES = ("ellipsoid", "cylinder", "sphere")
 #: MJCF's <option>; the pyramidal cone, MuJoCo's default, creeps more across than along
 OPTION = {"integrator": "implicitfast", "cone": "elliptic", "impratio": 10.0}
 _DEGREE = 4  # of MJCF's polynomials
-_NODES = 33  # where they are fitted
+_NODES = 33  # number of points of the fit
 _HARMLESS = "masses or moments raised"  # of columns and knuckles, which have armature
 
 
@@ -67,21 +72,21 @@ def write_mjcf(
 ) -> str:
     """Write a robot on a plane as an MJCF file, for MuJoCo and MJX, with the robot's controls.
 
-    At qpos0 all wheels just touch. `full_model_state` computes the velocities of all joints, for
-    the start of a motion.
+    At qpos0 all wheels just touch the plane. `full_model_state` computes the velocities of all
+    joints, for the initial state of a motion.
 
     Args:
-        robot: `Robot`, with known numbers; without rollers.
-        path: a file to write as well.
+        robot: `Robot`, with known values and without rollers.
+        path: a file to write to; None only returns the text.
         wheel: "ellipsoid" touches in one point; "cylinder" in two or more, which scrub as the robot
             turns; "sphere" in one, even if it leans far.
         width: the width of a wheel divided by its radius.
         friction: the coefficient of sliding friction.
         solref, solimp: MuJoCo's softness of contacts and of equalities.
-        steering_range: rad, the stop of a steering with Ackermann's linkage, to which the
-            polynomial is fitted; a comment in the file has the error.
-        steering_time: s, the time constant of the servos of steerings; with the explicit
-            integrators "Euler" and "RK4" at least the timestep.
+        steering_range: the joint limit of a steering with Ackermann's linkage, rad, and the range
+            in which the polynomial is fitted. A comment in the file gives the error of the fit.
+        steering_time: the time constant of the servos of steerings, s; at least the timestep for
+            the explicit integrators "Euler" and "RK4".
         option: attributes of MJCF's <option>, such as timestep, integrator, cone, impratio.
 
     Returns:
@@ -89,8 +94,9 @@ def write_mjcf(
 
     Raises:
         UnsupportedFeature: wheels with rollers; a motor that MJCF does not have.
-        UnknownName: no such shape. InputError: numbers out of range, or traced; a wheel or caster
-            without inertia. ModelError: MuJoCo rejects the file.
+        UnknownName: no such shape.
+        InputError: numbers out of range, or traced; a wheel or caster without inertia.
+        ModelError: MuJoCo rejects the file.
 
     Source: MuJoCo, *Computation*, solver parameters.
 
@@ -149,7 +155,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
 
 
 def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float]:
-    """Fit the angles of wheels of a linkage by the column's angle. Return the largest error too."""
+    """Fit polynomials of wheel angles in the column's angle. Return them and the largest error."""
     out, worst = [], 0.0
     nodes = reach * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     powers = nodes[:, None] ** np.arange(1, _DEGREE + 1)
@@ -200,7 +206,7 @@ def _write_ground(
 
 
 def _write_drives(draft: Draft, n: Parameters) -> None:
-    """Write one actuator for each drive, and delete those of the full model."""
+    """Write one actuator for each drive, and delete the actuators of the full model."""
     draft.actuator.clear()
     for j, drive in enumerate(n.robot.drives):
         name, axles = f"drive_{j}", [wheel_joint(i) for i in drive.wheels]
@@ -220,14 +226,14 @@ def _write_drives(draft: Draft, n: Parameters) -> None:
 
 
 def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
-    """Write the tendon sum split_i phi_i."""
+    """Write the fixed tendon sum split_i phi_i."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
         ET.SubElement(cage, "joint", joint=axle, coef=text(share))
 
 
 def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
-    """Return the attributes of a motor: its torque as gain u + bias Omega, and its limits."""
+    """Return the MJCF attributes of a motor: its torque as gain u + bias Omega, and its limits."""
     limits: dict[str, str] = {}
     if type(motor) not in (TorqueSource, SpeedServo, DCMotor):
         raise UnsupportedFeature(
@@ -252,7 +258,7 @@ def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
 
 
 def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
-    """Return the attributes of the force gain u + by_length l + by_rate l'."""
+    """Return the MJCF attributes of the force gain u + by_length l + by_rate l'."""
     law = {"gainprm": text(gain)}
     if by_length or by_rate:
         terms = " ".join(map(text, (0.0, by_length, by_rate)))
@@ -261,7 +267,8 @@ def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
 
 
 def _own(x: Any) -> Any:
-    """Return a number in its own precision, which `text` writes with the fewest decimals."""
+    """Convert a number to numpy in its own precision, which `text` writes with the fewest
+    decimals."""
     return np.asarray(x)[()]
 
 

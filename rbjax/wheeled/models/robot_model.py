@@ -91,8 +91,7 @@ class RobotModel(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
 
     def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
-        """Compute the loads of the wheels, and the horizontal forces on them in the axes of their
-        bodies, N."""
+        """Compute the loads of wheels, N, and the horizontal forces on them in body axes, N."""
         raise InputError(
             f"contacts: the fidelity is {self.name!r}, which has no forces of wheels; expected "
             "'slipping' or 'constrained'"
@@ -190,8 +189,7 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
 
 
 def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
-    """Make the state at coordinates q (nq,) with the projection of a chassis twist (3,) on allowed
-    ones."""
+    """Make the state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
     now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
     V = Twist(*(twist[i] for i in range(3)))
     w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))

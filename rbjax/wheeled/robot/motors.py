@@ -191,7 +191,7 @@ class DCMotor(Motor):
 
     @property
     def _constant(self) -> Lane:
-        """n K, at the shaft."""
+        """The torque constant at the shaft, n K."""
         return self.gear * self.torque_constant
 
     def current(self, u: Lane, speed: Lane) -> Lane:

@@ -1,7 +1,7 @@
 """Five tyre laws: Coulomb, linear, Fiala's brush, the magic formula, TMeasy.
 
-Each gives the secants G_i of `Tyre` by its curve f(rho) of pure slip; sigma_i is the normalised
-slip of an axis and rho = |sigma| (see `tyre`).
+Each law computes the secants G_i of `Tyre` from its curve f(rho) of pure slip. sigma_i is the
+normalised slip of an axis and rho = |sigma| (see `tyre`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ class Linear(Tyre):
         mu_i = -c_i s_i,    with a limit    mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),
                                             sigma_i = c_i s_i / mu_i*
 
-    Fields, () or (2,): stiffness c; friction mu*, or None for no limit; smooth_speed v_n (), m/s.
+    Fields:
+        stiffness: c, () or (2,).
+        friction: mu*, () or (2,), or None for no limit.
+        smooth_speed: v_n (), m/s.
 
     Source: Jazar, *Vehicle Dynamics*, 3.5.
 
@@ -54,8 +57,10 @@ class Coulomb(Tyre):
 
         mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),    sigma_i = s_i / w_i
 
-    Fields, () or (2,): friction mu*; width w, the slip at which the traction is 0.71 mu*;
-    smooth_speed v_n (), m/s.
+    Fields:
+        friction: mu*, () or (2,).
+        width: w, () or (2,), the slip at which the traction is 0.71 mu*.
+        smooth_speed: v_n (), m/s.
 
     Example:
         >>> import rbjax as rb
@@ -96,7 +101,10 @@ class Fiala(Tyre):
         f(rho) = mu* (3 rho - 3 rho^2 + rho^3)   for rho < 1,   mu* beyond
         sigma_i = c_i s_i / (3 mu_i*)
 
-    Fields, () or (2,): stiffness c, the slope at no slip; friction mu*; smooth_speed v_n (), m/s.
+    Fields:
+        stiffness: c, () or (2,), the slope at zero slip.
+        friction: mu*, () or (2,).
+        smooth_speed: v_n (), m/s.
 
     Source: Fiala 1954; Pacejka, *Tire and Vehicle Dynamics*, eq. 3.7, 3.10 and 3.25.
 
@@ -131,9 +139,15 @@ class Pacejka(Tyre):
 
         f(rho) = D sin(C atan(rho - E (rho - atan rho))),      sigma_i = B_i s_i
 
-    Fields, () or (2,): stiffness_factor B; shape C, above 0 and up to 2; peak D; curvature E, up to
-    1; smooth_speed v_n (), m/s. Beyond these ranges the force would change its sign. One C and one
-    E for both axes save half of the work.
+    Outside of the ranges below the force would change its sign. It is faster with one C and one E
+    for both axes.
+
+    Fields, () or (2,):
+        stiffness_factor: B.
+        shape: C, above 0 and up to 2.
+        peak: D.
+        curvature: E, up to 1.
+        smooth_speed: v_n, m/s, only ().
 
     Source: Pacejka, *Tire and Vehicle Dynamics*, eq. 4.49, without shifts, load and camber;
     combined slip after 4.3.1.
@@ -165,7 +179,7 @@ class Pacejka(Tyre):
         dx, dy = pair(self.stiffness_factor * self.peak)
         x, y = bx * sx, by * sy
         square = x * x + y * y
-        # f / rho is a series in rho^2, which has no 0 / 0; eps^(1/2) balances what both lose
+        # near zero f / rho is a series in rho^2; eps^(1/2) balances the errors of both formulas
         near = square < jnp.finfo(square.dtype).eps ** 0.5
         rho = jnp.sqrt(jnp.where(near, 1.0, square))
         turned = jnp.arctan(rho)
@@ -182,19 +196,23 @@ class Pacejka(Tyre):
 
 
 class TMeasy(Tyre):
-    """Rill's law, by points of a measured curve.
+    """Rill's law, defined by points of a measured curve.
 
         f(rho) = c s_M rho / (1 + rho (c s_M / f_M - 2 + rho))      up to the peak, rho = 1
         f(rho) = f_M - (f_M - f_S) x^2 (3 - 2 x)                    beyond
         f(rho) = f_S                                                from x = 1 on
 
     with sigma_i = s_i / s_M,i and x = (rho - 1) / (s_S / s_M - 1). Rill blends the coefficients of
-    both axes by the direction of slip, which can leave the friction ellipse. Here each axis keeps
-    its own curve. For tyres with equal coefficients along and across, both are the same.
+    both axes by the direction of slip, which can leave the friction ellipse. In this implementation
+    each axis keeps its own curve. Both are the same for equal coefficients along and across.
 
-    Fields, () or (2,): slope c, at no slip (2 f_M / s_M or more for a curve without inflection);
-    peak_slip s_M; peak f_M; sliding_slip s_S, above s_M; sliding f_S, up to f_M; smooth_speed v_n
-    (), m/s.
+    Fields, () or (2,):
+        slope: c, at zero slip; 2 f_M / s_M or more for a curve without inflection.
+        peak_slip: s_M.
+        peak: f_M.
+        sliding_slip: s_S, above s_M.
+        sliding: f_S, up to f_M.
+        smooth_speed: v_n, m/s, only ().
 
     Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.3; Rill, *TMeasy, the handling
     tire model for all driving situations*, DINAME 2013.
