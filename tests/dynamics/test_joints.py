@@ -440,7 +440,7 @@ def test_a_kind_registered_anew_is_another_program() -> None:
     energies = [rb.kinetic_energy(m, q, jnp.array([1.0, 0.0])) for m in (steep, flat)]
     np.testing.assert_allclose(energies, [5 * before, before], rtol=F64_ROUNDING)
     again = pickle.loads(pickle.dumps(steep.topology))
-    assert again.joint_kinds == steep.topology.joint_kinds and again.links
+    assert again.joint_kinds == steep.topology.joint_kinds and again.dofs
 
 
 def test_registering() -> None:

@@ -29,14 +29,14 @@ def test_an_algorithm_keeps_a_few_programs(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(entry, "PROGRAMS_OF_FUNCTIONS", KEPT)
 
     @entry.algorithm("q")
-    def applied(model: rb.Model, q: jax.Array, law=None) -> jax.Array:
-        return law(model, 0.0, None, q, None)
+    def applied(model: rb.Model, q: jax.Array, dynamics=None) -> jax.Array:
+        return dynamics(model, 0.0, None, q, None)
 
     model, q = rb.load("pendulum"), np.ones(1)
-    assert [float(applied(model, q, law=lambda *a, k=k: a[3] * k)[0]) for k in range(4)] == [
+    assert [float(applied(model, q, dynamics=lambda *a, k=k: a[3] * k)[0]) for k in range(4)] == [
         0.0, 1.0, 2.0, 3.0,
     ]  # fmt: skip
-    assert alive(lambda law: applied(model, q, law=law), 6) <= KEPT
+    assert alive(lambda law: applied(model, q, dynamics=law), 6) <= KEPT
 
 
 @pytest.mark.slow

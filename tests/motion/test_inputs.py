@@ -149,7 +149,7 @@ def test_what_a_law_returns_is_checked():
     """Wherever a law is called: for accelerations, and for the forces that give them."""
     model = rb.load("cart_pole")
     for integrator in ("semi_implicit_euler", "variational_midpoint"):
-        with pytest.raises(rb.InputError, match=r"what the law returned has shape \(3,\), expec"):
+        with pytest.raises(rb.InputError, match=r"result of the dynamics has shape \(3,\), expec"):
             rb.step(
                 model, model.default_state(), dt=DT, integrator=integrator,
                 dynamics=lambda model, t, state, tau, f_ext: jnp.zeros(3),

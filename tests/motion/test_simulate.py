@@ -146,12 +146,12 @@ def test_bad_times_and_states_are_named():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"control": jnp.ones((4, 1))}, "expected a function .* an array are for rollout"),
-        ({"control": lambda t, s: jnp.ones(2)}, r"the control returned has shape \(2,\), exp"),
-        ({"control": dict}, r"control is the class dict, expected a function \(t, state\)"),
-        ({"control": lambda t, s: 1.0}, r"returned has shape \(\), expected \(1,\)"),
-        ({"control": lambda t, s: None}, "returned is NoneType, expected an array of shape"),
-        ({"model": rb.load("spinning_top"), "control": lambda t, s: jnp.ones(3)}, "expected .0,.:"),
+        ({"ctrl": jnp.ones((4, 1))}, r"ctrl has shape \(4, 1\), .* or \(1, 1\): .* policy"),
+        ({"ctrl": lambda t, s: jnp.ones(2)}, r"the control returned has shape \(2,\), exp"),
+        ({"ctrl": dict}, r"ctrl is the class dict, expected a function \(t, state\)"),
+        ({"ctrl": lambda t, s: 1.0}, r"returned has shape \(\), expected \(1,\)"),
+        ({"ctrl": lambda t, s: None}, "returned is NoneType, expected an array of shape"),
+        ({"model": rb.load("spinning_top"), "ctrl": lambda t, s: jnp.ones(3)}, "expected .0,.:"),
         ({"max_steps": 0}, "max_steps is 0, expected an integer of at least 1"),
         ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
         ({"state": None}, "state is NoneType, expected rbjax.State"),

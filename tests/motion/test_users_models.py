@@ -35,7 +35,7 @@ def law(change):
 
 
 def heavy_step(field, t, state, inputs, dt):
-    field = Field(heavier(field.model), field.law, field.dt)
+    field = Field(heavier(field.model), field.dynamics, field.dt)
     a, _ = field.rates(t, state, inputs)
     v = state.v + dt * a
     return rb.State(field.retract(state.q, dt * v), v, state.x)

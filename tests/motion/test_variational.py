@@ -123,7 +123,7 @@ def test_order_two_with_forces(which):
         M, b = rb.mass_matrix(model, state.q), rb.bias_forces(model, state.q, state.v)
         return jnp.array([0.0, 1.0]) * (tau - b) / jnp.diag(M)
 
-    more = {"law": held} if which == "held" else {}
+    more = {"dynamics": held} if which == "held" else {}
 
     @functools.partial(jax.jit, static_argnums=(0, 1))
     def end(integrator, n):

@@ -10,7 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import wheeled
-from rbjax.constraints import KKT, jacobian, mobility
+from rbjax.constraints import KKT, Formulation, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import coordinate_rates
@@ -18,7 +18,7 @@ from rbjax.wheeled.kinematics.parameters import parameters_of
 from rbjax.wheeled.kinematics.planar import Dual, rate_of
 from rbjax.wheeled.kinematics.velocities import constraint_rates, rolling_velocities
 from rbjax.wheeled.models.constrained import Constrained, full_state
-from rbjax.wheeled.models.equations import gravity_wrenches, kinetic_energy, projected_equations
+from rbjax.wheeled.models.equations import kinetic_energy, projected_equations
 from rbjax.wheeled.multibody.full_model import full_model, model_of
 from rbjax.wheeled.multibody.wheel_rows import SteeringRate
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
@@ -73,7 +73,7 @@ def test_accelerations_and_energy(name):
         w = reduced.full_velocities(now)
         then = replace(now, v=w)
         resting = replace(now, u=now.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
-        model, state = full_state(n, resting, w)
+        model, state = full_state(resting, w)
         T = rb.kinetic_energy(model, state.q, state.v)
         return {
             "w": stacked(w),
@@ -123,9 +123,8 @@ def test_separation_of_wrenches_term_by_term(name):
         _, dS = jax.jvp(ahead, (0.0,), (1.0,))
         rows = jacobian(model, state.q)
         w = reduced.full_velocities(now)
-        book = projected_equations(now, w, rolling_velocities, now.v,
-            gravity_wrenches(now), [0.0] * len(n.shafts),
-        )  # fmt: skip
+        no_torques = [0.0] * len(n.shafts)
+        book = projected_equations(now, w, rolling_velocities, now.v, no_torques)
         return {
             "rows": rows @ S,
             "M": (S.T @ M @ S, jnp.stack([stacked(row) for row in book.M])),
@@ -178,7 +177,7 @@ def test_formulations_agree_and_velocities_off_the_rows_are_put_on_them():
         now = Constrained(robot).context(State(q, w), u)
         model, state = full_state(now, Constrained(robot).full_velocities(now))
         rows = jacobian(model, state.q) @ state.v
-        laws = Constrained(robot), Constrained(robot, KKT())
+        laws = Constrained(robot), Constrained(robot, Formulation(KKT()))
         return rows, *(stacked(law.accelerations(now)) for law in laws)
 
     one, rng = Constrained(robot), np.random.default_rng(1)
