@@ -10,7 +10,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
-from rbjax.sysid.torque.equations import ROUNDING, Regression
+from rbjax.sysid.torque.torque_equations import ROUNDING, Regression
 from rbjax.sysid.torque.regression import regress
 
 
