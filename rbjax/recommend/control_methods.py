@@ -94,8 +94,7 @@ def control_method(
         UnknownName: no such method.
 
     Source: Betts, *Practical Methods for Optimal Control*, 2010, 1.15 (a gradient-based solution is
-        a
-    local optimum, which depends on the first guess).
+    a local optimum, which depends on the first guess).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp

@@ -43,7 +43,7 @@ class Residuals(Record):
     Fields, each ():
         distance: from the end to the goal, m.
         turn: the heading error at the end, rad.
-        speed: at the end, relative to the typical speed of the motion along the path.
+        speed: at the end, relative to the mean speed of the motion along the path.
         torque: the largest torque relative to its limit.
         rate: the largest speed or turning rate relative to its limit.
         angle: the largest steering angle relative to its limit.

@@ -66,9 +66,8 @@ class Wheel(Record):
     """A wheel on the ground under a body.
 
     Kinds: "fixed" has an axle that is fixed in the body. "steered" turns about the vertical through
-        its
-    centre. "caster" turns freely about a vertical ahead of its centre. "rollers" has free rollers
-    on the rim, as omnidirectional and mecanum wheels.
+    its centre. "caster" turns freely about a vertical ahead of its centre. "rollers" has free
+    rollers on the rim, as omnidirectional and mecanum wheels.
 
     Fields:
         position: (2,) m, of the centre; for a caster, of its pivot.
