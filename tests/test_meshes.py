@@ -105,9 +105,11 @@ def child_rollouts(kernel):
     everywhere = jax.sharding.reshard((q, v), NamedSharding(mesh, P()))
     check("controls alone", rolled, (*everywhere, us), sharding=where, sums=0)
     check("own", jax.grad(loss, (0, 1, 2)), (q, v, us), sharding=where, sums=0)
-    check("shared", jax.grad(loss, (2, 3)), (q, v, shared, mass), sums=1)
+    # XLA's vmap adds up the gradients of arrays that samples share in each step, inside the loop;
+    # on threads they are added up once, after it (`child_rollouts_on_threads`)
+    check("shared", jax.grad(loss, (2, 3)), (q, v, shared, mass))
     for w in jnp.ones((1, 2)), weights:
-        check("weights", jax.grad(by_weights), (w, q, v), sums=1)
+        check("weights", jax.grad(by_weights), (w, q, v))
     closed = jax.jit(lambda u: rolled(q, v, u))  # over a batch
     for out in rolled(q, v, us), closed(us), closed(shared):
         assert out[0].sharding.is_equivalent_to(where, 3)

@@ -25,7 +25,14 @@ from rbjax.body.forces import (
     Spring,
     UniformGravity,
 )
-from rbjax.body.formulations import Formulation, Kirchhoff, Momentum, NewtonEuler, Spatial, State
+from rbjax.body.formulation_types import (
+    Formulation,
+    Kirchhoff,
+    Momentum,
+    NewtonEuler,
+    Spatial,
+    State,
+)
 from rbjax.body.registry import formulation, formulations
 
 __all__ = [

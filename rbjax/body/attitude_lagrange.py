@@ -32,7 +32,7 @@ from rbjax.body.body import (
     split,
     total_wrench,
 )
-from rbjax.body.formulations import Formulation, State
+from rbjax.body.formulation_types import Formulation, State
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import se3

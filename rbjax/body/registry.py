@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from rbjax.arguments import choice
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange
-from rbjax.body.formulations import Formulation, Kirchhoff, Momentum, NewtonEuler, Spatial
+from rbjax.body.formulation_types import Formulation, Kirchhoff, Momentum, NewtonEuler, Spatial
 from rbjax.rotations import representations
 
 

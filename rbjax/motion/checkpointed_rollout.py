@@ -207,8 +207,10 @@ def checkpoint_interval(save_every: int, steps: int, bytes_each: int, budget: fl
     """Return the smallest divisor k of save_every for which steps / k states fit into the budget;
     save_every if none fits.
 
-    >>> checkpoint_interval(100, 1000, 4, 4000), checkpoint_interval(100, 1000, 4, 500),
-    checkpoint_interval(7, 7, 4, 1) (1, 10, 7)
+    >>> checkpoint_interval(100, 1000, 4, 4000), checkpoint_interval(100, 1000, 4, 500)
+    (1, 10)
+    >>> checkpoint_interval(7, 7, 4, 1)
+    7
     """
     for k in range(1, save_every + 1):
         if save_every % k == 0 and math.ceil(steps / k) * bytes_each <= budget:

@@ -43,7 +43,9 @@ def check_ranges(
         per_axis: whether a field may also be (2,), one number along the wheel and one across.
         above: field -> limit; the field must be larger.
         least: field -> limit; the field must be at least as large.
-        most: field -> limit; the field must be at most as large. Traced values are not checked.
+        most: field -> limit; the field must be at most as large.
+
+    A limit is a number, or the name of another field. Traced values are not checked.
     """
     check_fields(record)
     for field in dataclasses.fields(record):
@@ -71,11 +73,13 @@ def check_ranges(
 
 def _check(record: Record, limits: Mapping[str, Any], within: Callable, text: str) -> None:
     for name, limit in limits.items():
-        value = getattr(record, name)
+        value, origin = getattr(record, name), ""
+        if isinstance(limit, str):
+            limit, origin = getattr(record, limit), f", its {limit}"
         if value is None or any(isinstance(x, jax.core.Tracer) for x in (value, limit)):
             continue
         if not np.all(within(np.asarray(value), np.asarray(limit))):
             raise InputError(
                 f"{type(record).__name__}({name}=...): got {np.asarray(value).tolist()}, expected "
-                f"numbers {text} {np.asarray(limit).tolist()}"
+                f"numbers {text} {np.asarray(limit).tolist()}{origin}"
             )

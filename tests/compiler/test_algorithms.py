@@ -136,7 +136,8 @@ def switch(monkeypatch):
     def turn(on: bool) -> None:
         jax.clear_caches()
         for name in ("dynamics.tracing.algorithm", "motion.rollout"):
-            monkeypatch.setattr(importlib.import_module(f"rbjax.{name}"), "wanted", lambda: on)
+            module = importlib.import_module(f"rbjax.{name}")
+            monkeypatch.setattr(module, "kernels_available", lambda: on)
 
     yield turn
     monkeypatch.undo()

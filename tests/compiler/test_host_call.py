@@ -181,8 +181,8 @@ def test_a_program_of_another_process_is_found_again(tmp_path):
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-from rbjax.compiler import threaded
-g = jax.jit(jax.vmap(threaded(lambda x: jnp.cos(x) * 3)))
+from rbjax.compiler.jax.function import compile_threads
+g = jax.jit(jax.vmap(compile_threads(lambda x: jnp.cos(x) * 3)))
 np.testing.assert_allclose(g(jnp.arange(4.0)), 3 * np.cos(np.arange(4.0)), rtol=1e-6)
 """
     env = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "RBJAX_CPU": "llvm"}

@@ -51,13 +51,13 @@ def test_few_knots_go_apart_on_a_gpu(samples: int, monkeypatch: pytest.MonkeyPat
     multipliers = no_multipliers(N, 0, 0, ctrls.dtype)
     run = functools.partial(expand, problem)
     due: Expanded = jax.jit(run)(start, knots, ctrls, multipliers)
-    monkeypatch.setattr(function, "gpu", lambda: True)
+    monkeypatch.setattr(function, "has_gpu", lambda: True)
     args = start, knots, ctrls, multipliers
     wide = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples, *x.shape)), args)
     closed = jax.make_jaxpr(jax.vmap(run))(*wide)
     found = [e.params for e in closed.jaxpr.eqns if e.primitive.name == "threads"]
     first = next(p for p in found if p["batch"] == (samples, N))
-    assert (first["program"].apart is not None) == (samples == 1)
+    assert (first["program"].multi_kernel is not None) == (samples == 1)
     if samples > 1:
         return
     by_gpu = importlib.import_module("rbjax.compiler.jax.primitive").on_gpu

@@ -131,7 +131,7 @@ def test_numbers_that_are_not_finite_within_a_program():
     _, B, Q, R = map(jnp.asarray, enlarged([[1.0]], [[1.0]], [[1.0]], [[1.0]]))
     found = solved(jnp.full((3, 3), jnp.nan), B, Q, R)
     assert is_(found.status, "not_finite") and not found.P.any()
-    with pytest.raises(InputError, match="B have shapes"):
+    with pytest.raises(InputError, match=r"B has shape \(2, 0\), expected \(2, m\)"):
         lqr(np.eye(2), np.zeros((2, 0)), np.eye(2), np.zeros((0, 0)))
     with pytest.raises(InputError, match="vmap"):
         lqr(np.zeros((3, 2, 2)), np.zeros((3, 2, 1)), np.eye(2), np.eye(1))

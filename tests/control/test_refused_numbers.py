@@ -11,8 +11,8 @@ from rbjax.control.optimal.system import system_of
 def test_an_integrator_is_for_a_model():
     system = control.Equations(lambda t, x, u: -x, 2, 1)
     assert system_of("f", system) is system
-    for given in ({"integrator": "rk4"}, {"law": 3}, {"constraints": "kkt"}):
-        with pytest.raises(rb.InputError, match="f: integrator, law and constraints are for"):
+    for given in ({"integrator": "rk4"}, {"dynamics": 3}, {"constraints": "kkt"}):
+        with pytest.raises(rb.InputError, match="f: integrator, dynamics and constraints are for"):
             system_of("f", system, **given)
 
 

@@ -454,3 +454,13 @@ def test_registering() -> None:
         rb.joints.register(Another())
     with pytest.raises(NotImplementedError, match="needs a pose"):
         Another().pose([], [])
+
+
+def test_a_hinge_turns_about_z() -> None:
+    angle, speed = 0.3, -0.7
+    c, s = np.cos(angle), np.sin(angle)
+    motion = rb.joints.hinge_motion(c, s, speed)
+    rotation = np.array([[*row] for row in motion.J.rows])
+    np.testing.assert_array_equal(rotation, [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    twist = motion.twist
+    np.testing.assert_array_equal([*twist.ang, *twist.lin], [0, 0, speed, 0, 0, 0])

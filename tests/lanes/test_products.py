@@ -1,5 +1,6 @@
 """Products of small matrices against numpy.linalg's, for one and for stacks of stacks."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -24,3 +25,15 @@ def test_products(batch: tuple[int, ...]) -> None:
     ]
     for got, want in pairs:
         assert relative_error(got, want) <= F64_ROUNDING
+
+
+def test_packed_lanes_are_the_rows() -> None:
+    x = jnp.asarray(np.random.default_rng(0).normal(size=(3, 4)), jnp.float32)
+    rows = lanes.unpack(x)
+    for got, want in zip(rows, x, strict=True):
+        np.testing.assert_array_equal(got, want)
+    np.testing.assert_array_equal(lanes.pack(rows, x), x)
+    with_literals = lanes.pack([0.0, rows[1], 2.0], x)
+    assert with_literals.dtype == x.dtype
+    np.testing.assert_array_equal(with_literals, jnp.stack([0 * x[0], x[1], jnp.full(4, 2.0)]))
+    assert lanes.pack([], x).shape == (0, 4)

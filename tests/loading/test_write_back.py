@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -121,3 +122,21 @@ def test_nothing_is_written_beside_the_file(tmp_path, monkeypatch) -> None:
     out = rb.write_back(heavy, tmp_path / "robot.xml")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["meshes", "robot.xml"]
     assert f"{float(heavy.bodies.mass[0]):.8g}"[:6] in out
+
+
+@pytest.mark.filterwarnings("ignore:.*left out of the model")
+def test_friction_of_a_joint_after_one_of_several_dofs(tmp_path) -> None:
+    """Friction losses are written by dof: the hinge after a ball keeps its own, and two elements
+    on it add up."""
+    source = tmp_path / "ball.xml"
+    source.write_text(
+        "<mujoco><worldbody><body><joint name='ball' type='ball'/><geom size='.1'/>"
+        "<body pos='0 0 .3'><joint name='hinge' axis='0 1 0' frictionloss='.4'/>"
+        "<geom size='.1'/></body></body></worldbody></mujoco>"
+    )
+    model = rb.load(source)
+    one = rb.forces.JointFriction.of(model, ["ball", "hinge"], [0.1, 0.1, 0.1, 0.2])
+    two = rb.forces.JointFriction.of(model, ["hinge"], 0.5)
+    rb.write_back(model.with_forces(one, two), source, tmp_path / "found.xml")
+    found = mujoco.MjModel.from_xml_path(str(tmp_path / "found.xml"))
+    np.testing.assert_allclose(found.dof_frictionloss[3], 0.7)

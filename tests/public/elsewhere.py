@@ -17,6 +17,7 @@ ELSEWHERE: dict[str, set[str]] = {
     # rows are functions of frames: tests/constraints/test_pairs.py and test_rows.py
     "constraints": {"along", "assemble", "coordinate", "cosine", "displacement", "distance",
                     "formulations", "kinds", "mobility", "places", "time", "turn"},
+    "contact": {"pairs"},
     "wheeled": {"at", "controlled", "fidelities", "from_file", "kinds", "simulate",
                 "with_trailers", "write_mjcf"},
     "planning": {"clear", "clear_along", "drives", "grid_a_star", "grid_dijkstra",
@@ -64,8 +65,9 @@ ELSEWHERE: dict[str, set[str]] = {
     # within rbjax: arithmetic on single numbers, parts of a model, the compiler
     "lanes": {"add", "as_arrays", "batch_first", "batch_last", "elimination_order",
               "fusion_barrier", "horner", "inner", "inverse", "is_literal", "is_zero", "ldlt",
-              "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "polynomial_sincos",
-              "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
+              "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "pack",
+              "polynomial_sincos", "quaternion_matrix", "rotation_z", "sincos", "sub", "total",
+              "unpack"},
     "model": {"with_constants", "partition", "prepare", "spans",
               "without_constants"},
     "compiler": {"compile", "explain", "threads"},

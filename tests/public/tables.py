@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -152,6 +153,28 @@ CONSTRAINTS = {
     ),
 }
 
+# ---------------------------------------------------------------- contact
+
+BALLS = """<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+  <body pos="0 0 0.5"><joint axis="0 1 0"/><geom type="sphere" size="0.1" pos="0.2 0 0"/></body>
+  <body pos="0.6 0.1 0.4"><joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.2"/></body>
+</worldbody></mujoco>"""
+
+
+@cache
+def balls(dtype: Any) -> rb.Model:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*left out of the model.*contacts")
+        return rb.load(BALLS).astype(dtype)
+
+
+def detected(model: rb.Model, q: Any) -> tuple:
+    found = rb.contact.detect(model, q, reach=jnp.inf)
+    return found.distance, found.position, found.frame
+
+
+CONTACT = {"detect": Case(lambda d: functools.partial(detected, balls(d)), [0.1 * ON])}
+
 # ---------------------------------------------------------------- wheeled
 
 WHEELED = {name: Case(same(f), xs) for name, (f, xs) in of_wheels.REGISTRY.items()}
@@ -195,6 +218,7 @@ TABLES: dict[str, dict[str, Case]] = {
     "bodies": BODIES,
     "rotations": ROTATIONS,
     "constraints": CONSTRAINTS,
+    "contact": CONTACT,
     "wheeled": WHEELED,
     "planning": PLANNING,
     "control": designs.CONTROL,

@@ -149,7 +149,7 @@ def test_limits_that_cannot_hold_are_said():
 def test_bad_arguments_are_named():
     with pytest.raises(rb.UnknownName, match=r"criterion 'F'; .* 'D', 'A', 'E', 'condition'"):
         quiet(ONE, spring_and_mass, criterion="F")
-    with pytest.raises(rb.InputError, match="something of 1 combinations of 2 unknowns"):
+    with pytest.raises(rb.InputError, match="identifies 1 combinations of 2 unknowns"):
         quiet(ONE, lambda q, v, a: jnp.concatenate([q, 2 * q], 1))
     with pytest.raises(rb.InputError, match=r"information gave an array of shape \(100,\)"):
         quiet(ONE, lambda q, v, a: q[:, 0])

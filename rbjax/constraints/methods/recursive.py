@@ -90,8 +90,8 @@ def reached_links(topology: Topology, gradient: Loads) -> tuple[int, frozenset[i
     turned = [i for i, x in gradient.tau.items() if not is_zero(x)]
     tops = [topology.parents[i] for i in turned]
     tops += pushed if gradient.internal else [WORLD] * len(pushed)
-    joint_product = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
-    parent = max(joint_product, default=WORLD)  # indices grow along a chain
+    common = set.intersection(*(_chain(topology, i) for i in tops)) if tops else set()
+    parent = max(common, default=WORLD)  # indices grow along a chain
     carrying = {j for i in pushed + turned for j in _chain(topology, i)}
     return parent, frozenset(carrying - _chain(topology, parent))
 

@@ -159,8 +159,8 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(
-            f"directions: the subspace has shape {reach.inside.shape}, expected {(n, n)}, of the "
-            "model's dq, dv and states of force elements"
+            f"unreachable_directions: the subspace has shape {reach.inside.shape}, expected "
+            f"{(n, n)}, of the model's dq, dv and states of force elements"
         )
     names = state_names(model)
     missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()

@@ -173,8 +173,9 @@ def solve(
         >>> problem = rb.control.Problem(model, 20, 0.05, running=[still, rb.control.Control()],
         ...                              terminal=[still])
         >>> pushed = rb.State(model.default_state().q + 0.2, model.default_state().v)
-        >>> rb.control.solve(problem, pushed).status
-        'converged'
+        >>> found = rb.control.solve(problem, pushed)
+        >>> rb.control.Status(int(found.status)).name, bool(found.success)
+        ('CONVERGED', True)
     """
     instance("solve", "problem", problem, Problem, "an rb.control.Problem")
     if problem.constraints and not method_of(method).constraints:

@@ -178,13 +178,15 @@ def _write_actuator(one: ET.Element, model: Model, before: Model, a: int) -> Non
 
 
 def _friction(model: Model) -> dict[int, float]:
-    """Map the first dof of each joint to its Coulomb friction, from the model's elements."""
+    """Map each dof to its Coulomb friction, the sum over the model's elements."""
     found: dict[int, float] = {}
+    top = model.topology
     for element in model.forces:
         if isinstance(element, JointFriction):
             joints = [model.joint(j) if isinstance(j, str) else j for j in element.joints]
-            starts = [model.topology.joint_v[j] for j in joints]
-            found |= dict(zip(starts, map(float, np.ravel(element.coulomb)), strict=False))
+            dofs = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]
+            for dof, value in zip(dofs, np.ravel(element.coulomb).tolist(), strict=True):
+                found[dof] = found.get(dof, 0.0) + value
     return found
 
 

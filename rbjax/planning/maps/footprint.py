@@ -7,7 +7,9 @@ its centre from obstacles exceeds its radius, which is one lookup in a `Distance
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -128,6 +130,17 @@ def check_map(where: str, field: Any, footprint: Any) -> None:
     instance(where, "footprint", footprint, Footprint, shape)
 
 
+def _checks_map(f: Callable) -> Callable:
+    """Check the field and the footprint before JAX sees them."""
+
+    @functools.wraps(f)
+    def call(field: Any, poses: Any, footprint: Any) -> jax.Array:
+        check_map(f.__name__, field, footprint)
+        return f(field, poses, footprint)
+
+    return call
+
+
 def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
     """Compute the centres of discs (..., n, 2) in the world, m."""
     x, y, heading = (poses[..., k, None] for k in range(3))
@@ -136,6 +149,7 @@ def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:
     return jnp.stack([x + c * a - s * b, y + s * a + c * b], -1)
 
 
+@_checks_map
 @takes(poses="planar_pose")
 def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
     """Compute the signed distance of a footprint from obstacles, negative if they overlap.
@@ -161,10 +175,10 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         >>> round(float(clearance(field, [1.0, 0.5, 0.0], Footprint.disc(0.2))), 6)
         0.3
     """
-    check_map("clearance", field, footprint)
     return smallest(field.at(disc_centers(poses, footprint)) - footprint.radii)
 
 
+@_checks_map
 @takes(poses="planar_pose")
 def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.Array:
     """Test whether a footprint is certainly free of obstacles.
@@ -187,5 +201,4 @@ def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.A
         >>> clear(field, [[1.0, 1.0, 0.0], [1.0, 0.1, 0.0]], Footprint.disc(0.2)).tolist()
         [True, False]
     """
-    check_map("clear", field, footprint)
     return (field.below(disc_centers(poses, footprint)) > footprint.radii).all(-1)

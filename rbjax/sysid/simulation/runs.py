@@ -191,7 +191,7 @@ def _first_readings(model: Model, run: Recording, start: float) -> tuple[np.ndar
         if np.isnan(found).any():
             raise InputError(
                 f"identify: the first sample of {sensor} in recording {run.name} did not arrive, "
-                "expected one to start from: begin where all arrived, by run.piece(t0, t1)"
+                "expected one to start from: begin where all arrived, by run.segment(t0, t1)"
             )
         return found
 

@@ -2,7 +2,6 @@
 
 from rbjax.sysid.torque.consistency import Consistent, consistent
 from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
-from rbjax.sysid.torque.equations import Equations, Regression, equations
 from rbjax.sysid.torque.regression import METHODS, regress
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
@@ -15,6 +14,7 @@ from rbjax.sysid.torque.regressors import (
 )
 from rbjax.sysid.torque.rows import TorqueRows, torque_rows
 from rbjax.sysid.torque.selection import Selected, select
+from rbjax.sysid.torque.torque_equations import Equations, Regression, equations
 
 __all__ = [
     "Consistent", "Equations", "JOINT_TERMS", "METHODS", "Regression", "Selected", "TorqueRows",

@@ -42,9 +42,9 @@ from rbjax.sysid.parameters.log_cholesky import (
 )
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.status import FitStatus, HasStatus
-from rbjax.sysid.torque.equations import Regression, equations
 from rbjax.sysid.torque.regression import weighted
 from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, parameter_values
+from rbjax.sysid.torque.torque_equations import Regression, equations
 
 Array = np.ndarray
 POSITIVE = ("armature", "viscous", "coulomb", "gear_loss")

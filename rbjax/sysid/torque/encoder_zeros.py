@@ -23,9 +23,9 @@ from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.status import FitStatus, HasStatus
-from rbjax.sysid.torque.equations import Regression
 from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.rows import TorqueRows
+from rbjax.sysid.torque.torque_equations import Regression
 
 Array = np.ndarray
 DONE = 1e-9  # a smaller change of the zeros in rad or m ends the iteration

@@ -31,7 +31,7 @@ from rbjax.errors import InputError
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.residual_tests import long_run_covariance
 from rbjax.sysid.status import FitStatus
-from rbjax.sysid.torque.equations import (
+from rbjax.sysid.torque.torque_equations import (
     ROUNDING,
     Equations,
     Regression,

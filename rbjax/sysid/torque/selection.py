@@ -10,8 +10,8 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
-from rbjax.sysid.torque.equations import ROUNDING, Regression
 from rbjax.sysid.torque.regression import regress
+from rbjax.sysid.torque.torque_equations import ROUNDING, Regression
 
 
 @dataclass(frozen=True, eq=False)

@@ -234,8 +234,8 @@ class TMeasy(Tyre):
     smooth_speed: jax.Array = number(default=SMOOTH_SPEED)
 
     def __check_init__(self) -> None:
-        above, most = {"sliding_slip": self.peak_slip}, {"sliding": self.peak}
-        check_ranges(self, per_axis=True, above=above, most=most)
+        above = dict.fromkeys(self.positive, 0.0) | {"sliding_slip": "peak_slip"}
+        check_ranges(self, per_axis=True, above=above, most={"sliding": "peak"})
 
     @property
     def slopes(self) -> Pair:

@@ -293,9 +293,9 @@ def _active_bounds(
     x: jax.Array, low: jax.Array, high: jax.Array, slope: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return masks of the entries at active lower and upper bounds, by the sign of the slope."""
-    kkt_system = BOUND_ROUNDING * jnp.finfo(x.dtype).eps
-    at_low = (x <= low + kkt_system * (1 + jnp.abs(low))) & (slope > 0)
-    return at_low, (x >= high - kkt_system * (1 + jnp.abs(high))) & (slope < 0)
+    rounding = BOUND_ROUNDING * jnp.finfo(x.dtype).eps
+    at_low = (x <= low + rounding * (1 + jnp.abs(low))) & (slope > 0)
+    return at_low, (x >= high - rounding * (1 + jnp.abs(high))) & (slope < 0)
 
 
 def _gauss_newton(J: jax.Array) -> jax.Array:
