@@ -229,7 +229,7 @@ class LagrangeSystem:
         return path, jax.jacrev(lambda q: f(t, q))(q)
 
     def _pfaffian_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Compute A v - b and its derivative along the path q + s v with constant v, and A."""
+        """Return A v - b, its derivative along the path q + s v with constant v, and A itself."""
         shape = self._size("pfaffian", t, q, args), len(q)
 
         def y(s: jax.Array) -> tuple:

@@ -201,7 +201,8 @@ class Frame:
 
     @cached_property
     def angular_acceleration(self) -> Vec3:
-        """The angular acceleration in world axes, rad/s^2. In a force element v' = 0."""
+        """The angular acceleration in world axes, rad/s^2. In a force
+        element it contains only the velocity terms (v' = 0)."""
         return self.rotation @ self._accelerated.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:

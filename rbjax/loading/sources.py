@@ -199,6 +199,6 @@ def _gives_mass(geom: mujoco._specs.MjsGeom) -> bool:
 
 
 def _unless_overruled(body: mujoco._specs.MjsBody) -> str:
-    """Return a further fix for the message if the file lets MuJoCo ignore an <inertial>."""
+    """Return more advice for an error message if the file makes MuJoCo ignore an <inertial>."""
     overruled = body.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     return " and <compiler inertiafromgeom='auto'/>, which lets it count" if overruled else ""

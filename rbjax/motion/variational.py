@@ -138,7 +138,8 @@ def residual(
 
 
 def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
-    """Compute the momentum after the step, p1 = E (E p0 + h F)."""
+    """Compute the momentum after the step, p1 = E (E p0 + h F). E and F are those of
+    the module's docstring; `half` is h / 2."""
 
     def turned(y: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2 = stumpff(y.dot(y), 1, 2)

@@ -36,7 +36,8 @@ def motion_transform(T: jax.Array) -> jax.Array:
 
 @takes(T="pose")
 def force_transform(T: jax.Array) -> jax.Array:
-    """Compute the force transform X*_AB (..., 6, 6).
+    """Compute the force transform X*_AB (..., 6, 6) from the pose T of frame B in frame A: it maps
+    forces from B to A.
 
     >>> force_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 4].tolist()
     [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]

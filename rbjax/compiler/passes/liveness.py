@@ -47,7 +47,8 @@ def _keep(block: ir.Block, needed: set[ir.Name]) -> None:
 
 
 def _is_needed(statement: ir.Statement, needed: set[ir.Name]) -> bool:
-    """Return whether to keep a statement that changes no needed variable."""
+    """Return whether to keep a statement that writes no needed variable: a barrier, a loop or
+    branch with statements in it, the memory of a needed array."""
     match statement:
         case ir.Op() | ir.Load() | ir.Store():
             return False

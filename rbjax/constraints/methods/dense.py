@@ -178,7 +178,7 @@ class Minimal(Dense):
 
 @dataclass(frozen=True)
 class NullSpaceSVD(Minimal):
-    """Index 0, in an orthonormal basis of the null space by singular value decomposition:
+    """A method of index 0 in an orthonormal basis of the null space, by singular values:
 
         G = U S V^T,   L = V S^+ U^T = G^+,   Z = columns of V whose singular value is zero
 

@@ -33,8 +33,8 @@ class Reach(NamedTuple):
     rank: its dimension, ().
     inside: orthogonal projector onto it, (n, n).
     outside: orthonormal basis of its complement in the first n - rank columns, zeros after, (n, n).
-    weakest: smallest singular value above the tolerance, (); approximates the distance to a system
-        of lower rank, for unit columns of B and unit norm of A.
+    weakest: smallest singular value of the staircase form above the tolerance, (). A and the
+        columns of B are scaled to norm 1. It approximates the distance to a system of lower rank.
     """
 
     rank: jax.Array

@@ -89,9 +89,9 @@ class Unrolled(ListDriver):
 def outward(
     parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """Run an unrolled outward sweep. Return the carries and the y_i.
+    """Run `step` from the root to the leaves. Return the carry and the output of each link.
 
-    Values in `known` and inputs of the steps bypass the fusion barrier after each step.
+    A fusion barrier follows each step, except for values in `known` and inputs of the steps.
     """
     carries: list = []
     ys: list = []

@@ -315,8 +315,8 @@ class _AStar(WaveSearch):
         return take(nodes, ~later)
 
     def test(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
-        """Test the cheapest connections for obstacles. Keep the rest, to test them when OPEN is
-        empty."""
+        """Test for obstacles the `most` connections of the lowest cost, `price`. Keep the others
+        for a test when OPEN is empty. `steps` are the motions of the connections."""
         wanted = np.flatnonzero(price < self.price)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
         if len(wanted) > most:

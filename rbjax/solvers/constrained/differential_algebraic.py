@@ -243,7 +243,7 @@ class System:
         )
 
     def find_root(self, blocks: Blocks, at: StageProblem) -> jax.Array:
-        """Return the root and 1 in one array, or the guess and 0 if the iteration fails."""
+        """Return the root and a flag 1 in one array; the guess and 0 if the iteration fails."""
         h, y, start = at.h, at.y, at.start
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))

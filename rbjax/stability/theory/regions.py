@@ -126,7 +126,11 @@ def stiff_stability(method: Method) -> float:
 
 
 def at_infinity(method: Method) -> float:
-    """Return |R(infinity)|, or the largest |zeta| as z goes to infinity; inf if it is unbounded."""
+    """Return the amplification as z goes to infinity; inf if it is unbounded.
+
+    For a one-step method it is |R(infinity)|. For a multistep method it is the largest root of the
+    characteristic polynomial.
+    """
     if isinstance(method, StabilityFunction):
         return abs(method.at_infinity)
     last = method.by_power[-1]

@@ -64,13 +64,14 @@ def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
     """Filter a signal by a zero-phase low-pass filter.
 
     Args:
-        t: (samples,) times in s. Even clocks use the Butterworth filter, uneven clocks the spline.
+        t: (samples,) times in s. Uniform samples use a Butterworth filter, others a
+            smoothing spline.
         x: (samples,) or (samples, columns) signal, without NaN.
         cutoff: frequency in Hz with an amplitude of 1/sqrt(2); below half the sample rate.
         order: order of one pass of the Butterworth filter.
 
     Returns:
-        `Filtered`.
+        `Filtered`: the values, and the delay, bandwidth and gain of the filter.
 
     Raises:
         InputError: wrong shapes, values that are not finite, or a cut-off outside of (0, rate/2).

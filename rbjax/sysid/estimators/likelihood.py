@@ -77,7 +77,8 @@ class Likelihood:
     """Twice the negative log likelihood l(x) of a batch of runs.
 
     x (n + levels,) contains the unknowns and the logarithms of the unknown noise levels. The masks
-    `drives` (nv,) and `reads` (rows,) select the unknown noise levels.
+    `drives` (nv,) and `reads` (rows,) are True for process noise and for sensor noise of unknown
+    level.
     """
 
     def __init__(

@@ -72,7 +72,7 @@ class Unknown(Scalars):
         index: index of the entries; all by default.
         positive: whether the entries are positive.
         bounds: open lower and upper bound.
-        scale: size of a large change of free parameters.
+        scale: a change of this size of a free parameter counts as large; in its unit.
         prior: mean and standard deviation of a normal prior of each entry. None: no prior.
 
     Example:
@@ -250,7 +250,7 @@ class Derived(Scalars):
         into: traced function (set-up, p (n,)) -> set-up.
         positive: whether the parameters are positive.
         bounds: open lower and upper bound.
-        scale: size of a large change of free parameters.
+        scale: a change of this size of a free parameter counts as large; in its unit.
     """
 
     start: tuple[float, ...]

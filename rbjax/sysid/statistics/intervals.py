@@ -46,8 +46,9 @@ class Estimates:
         covariance: (n, n) covariance in the identifiable directions.
         free: (n, k) unidentifiable directions, as columns of unit length.
         dof: degrees of freedom of the estimated noise; inf if the noise is known.
-        bounds: name -> (low, high).
-        lengths: (n,) lengths of the columns of J, which scale the parameters.
+        bounds: name -> (low, high), the physical range of a parameter.
+        lengths: (n,) lengths of the columns of the Jacobian of the residuals, which scale the
+            parameters.
     """
 
     names: tuple[str, ...]

@@ -100,7 +100,7 @@ def gravity_wrenches(now: RobotContext) -> list[Twist]:
 
 
 def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
-    """Compute the basis S by column: the full velocities of each unit velocity of nu."""
+    """Compute the columns of S in w = S nu. Column i is w if nu is the i-th unit vector."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
 

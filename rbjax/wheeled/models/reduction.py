@@ -114,7 +114,8 @@ def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
 def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined:
     """Compute the terms of the equations of motion with Lagrange multipliers, and the multipliers.
 
-    This is the dynamical approach: the constraints are not eliminated.
+        M w' + C w = B tau + f + A^T l,      A w = 0
+    The rolling constraints are not eliminated (the dynamical approach). w are all velocities.
 
     Args:
         model: a model of a rolling robot, `at(robot, "kinematical")`.
