@@ -365,8 +365,9 @@ def _configuration_rate_with_posture(
 
 
 def _free(model: Model, ranges: Ranges, q: jax.Array, step: jax.Array | None) -> jax.Array:
-    """Return a mask (nv,): 0 for coordinates that stay at a bound, 1 for the free ones. With a
-    posture, a coordinate stays at its bound only if the posture is beyond the bound."""
+    """Return a mask (nv,): 0 for coordinates that stay at a bound, 1 for the free ones. step
+    (nv,) is the step to the preferred posture. With it, a coordinate stays at its bound only if the
+    step leaves the range."""
     out = [jnp.ones((), q.dtype)] * model.nv
     for at in ranges.bounded:
         x = q[at.q]

@@ -75,9 +75,6 @@ def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
     Raises:
         InputError: a name that is not a word, or that belongs to another class.
 
-    Raises:
-        InputError: a name that is not a word, or that belongs to another class.
-
     Example:
         >>> import rbjax as rb
         >>> @rb.sensors.register("speed")

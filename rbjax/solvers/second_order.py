@@ -269,7 +269,7 @@ class VariationalMidpoint(AbstractGroupSolver):
         p0 = momentum(t0, y0)
 
         def middle(dw):
-            """Return the velocity of q at v0 + dw, and the midpoint."""
+            """Return the mean velocity of the step and its middle state, if v changes by dw."""
             w = halves.velocity(tm, halves.kick(y0, dw))
             return w, halves.advance(y0, scale(h / 2, w), dw)
 

@@ -143,11 +143,11 @@ def row_sizes(program: Written) -> dict[int, int]:
 
 @dataclass(frozen=True)
 class TileSlot:
-    """The position in the tile of one store.
+    """The place in the tile that one store fills.
 
     at: column of the tile.
     first, upto: the range of entries to store, counted from the base of the store.
-    last: whether this range is now complete and is stored from the tile to memory.
+    last: whether the store completes the range, so that the tile is then written to memory.
     """
 
     at: int

@@ -229,7 +229,8 @@ def kernels_work() -> bool:
 
 @functools.cache
 def host_kernels_work() -> bool:
-    """Return whether XLA calls machine code on this CPU. The first call runs a self-test."""
+    """Return whether XLA can call rbjax's machine code on this CPU. The first call runs a
+    self-test."""
 
     def double(x: np.ndarray) -> jax.Array:
         traced, parts = jax.make_jaxpr(lambda x: [x + x])(x[0]), 2

@@ -25,7 +25,8 @@ from rbjax.model import Model, State
 
 @dataclass(frozen=True)
 class Factor:
-    """Base class of the factors of a formulation: a frozen dataclass of checked parameters."""
+    """Base class of the choices that make up a formulation: method, feedback and projection. It is
+    a frozen dataclass whose parameters are checked."""
 
     def __post_init__(self) -> None:
         """Raise InputError unless floats are at least 0 and integers at least 1."""

@@ -272,7 +272,11 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Return the accelerations of all dofs. Correct l for the accelerations of the parents."""
+        """Sweep outward: return the accelerations of all dofs.
+
+        u are the joint forces that the inward sweep leaves, l the multipliers of the clusters. l is
+        corrected for the accelerations of the parents.
+        """
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:

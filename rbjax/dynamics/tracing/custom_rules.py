@@ -65,9 +65,10 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
         dx_k = solve_k(d residual_k(*at, x_1, ..., x_k)),   x_k held constant
 
     Args:
-        plain: a function of *at that returns `batch_first(solutions, at)`.
-        solved: a function of *at that returns the solutions and a function solve_k for each.
-        residuals: the functions residual_k, with the sign that the equation of dx_k requires.
+        plain: a function of *at that returns `batch_first(solutions, at)`. It gives the values.
+        solved: a function of *at that returns the solutions and a function solve_k for each,
+            -(d residual_k / dx_k)^-1. It is used for derivatives.
+        residuals: the functions residual_k.
 
     The arguments of the result must be `jax_arrays`. Derivatives of higher order use only the
     functions solve_k from `solved`, not the solutions.

@@ -152,7 +152,11 @@ class GearLoss(Element):
     def of(
         cls, model: Model, joints: Sequence[str | int], loss: Any, *, smoothing: Any = 1e-2
     ) -> GearLoss:
-        """Make the losses of joints; each parameter is one number for all dofs, or (n,)."""
+        """Make the gear losses of joints. A parameter is one number for all dofs, or (n,).
+
+        loss: the fraction of the power that the gear dissipates.
+        smoothing: the speed below which the loss is smooth, rad/s or m/s.
+        """
         given = {"loss": loss, "smoothing": smoothing}
         return cls(**columns_of("GearLoss.of", model, joints, given), joints=tuple(joints))
 

@@ -117,8 +117,9 @@ def refine(
     iterations: int = 40,
     parts: int = 2,
 ) -> Refined:
-    """Compute a faster motion than any along a path, with the same ends, within limits and
-    collision-free.
+    """Find a faster motion between the ends of a path, which may leave the path.
+
+    It keeps the limits and has no collision.
 
     The first guess is `time_scaling`. Then controls and durations change by gradients through the
     robot's dynamics. The motion may leave the path: it cuts corners if the map allows it, and may

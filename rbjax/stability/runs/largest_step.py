@@ -54,13 +54,14 @@ SMALL, GROWN = 1e-9, 1e5  # initial deviation, and its growth beyond which a ste
 
 
 def stable_step(method: Method, matrices: Any) -> float:
-    """Predict the largest step at which only modes grow that also grow in the exact motion.
+    """Predict the largest step at which no mode grows that does not also grow in the exact motion.
 
-    Undamped vibrations are included. For them the limit of a method for y' = f is exact,
-    `imaginary_limit` / |lambda|. It is 0 for methods such as Heun's, with which every vibration
-    grows, however slowly (`spectral_radius` returns the growth). For damped modes |zeta| may exceed
-    one by 1e-12. Steps of methods for q' = v, v' = a are measured without the rotation of a body's
-    axes, [w]x in A, and |zeta| may exceed one by 1e-6.
+    zeta is the factor by which a mode grows in a step. Undamped vibrations are included. For them
+    the limit of a method for y' = f is exact, `imaginary_limit` / |lambda|. It is 0 for methods
+    such as Heun's, with which every vibration grows, however slowly (`spectral_radius` returns the
+    growth). For damped modes |zeta| may exceed one by 1e-12. Steps of methods for q' = v, v' = a
+    are measured without the rotation of a body's axes, [w]x in A, and |zeta| may exceed one by
+    1e-6.
 
     Args:
         method: a name, a solver, a tableau or a polynomial, as for `linear_analysis`; or a solver

@@ -39,7 +39,8 @@ from rbjax.solvers.tableau import Tableau
 
 
 class Point(NamedTuple):
-    """The unknowns: knots, values at the stages, slacks of path (N, s, c) and end (e,) rows."""
+    """The unknowns: knots, values at the stages, slacks of the inequalities along the path
+    (N, s, c) and at the end (e,)."""
 
     knots: Knot
     inner: Inner
@@ -233,7 +234,8 @@ class Transcribed(NamedTuple):
         return step, Multipliers(costates - l.costates, duals, (dy, dy_end), none)
 
     def moves(self, step: Step) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return the parts of a step that belong to the bounded unknowns."""
+        """Return the changes of the unknowns with bounds: controls, parameters, slacks of path and
+        end."""
         return step.us, step.dx[0, self.problem.system.n :], step.path, step.end
 
     def reach(
