@@ -18,8 +18,9 @@ from pathlib import Path
 from rbjax.demo.report import Section
 from rbjax.errors import RbjaxError
 
-#: the notebooks of a checkout
-FOLDER = Path(__file__).parents[2] / "notebooks"
+CHECKOUT = Path(__file__).parents[2] / "notebooks"
+#: the notebooks: those of a checkout, or those that were installed with the package
+FOLDER = CHECKOUT if CHECKOUT.is_dir() else Path(sys.prefix) / "share" / "rbjax" / "notebooks"
 #: notebook -> its weight in progress bars
 NOTEBOOKS = {
     "forces": 10, "joints": 10, "loops": 15, "wheels": 15, "planning": 10, "gpu_threads": 5,

@@ -33,7 +33,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "identify": (identify, 15),
     "integrators": (integrators, 40),
 }
-if FOLDER.is_dir():  # in a checkout
+if FOLDER.is_dir():
     PARTS |= {
         name: (functools.partial(notebook, name=name), share) for name, share in NOTEBOOKS.items()
     }
