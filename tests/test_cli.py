@@ -1,5 +1,6 @@
 """The command line: output, files, exit codes, one-sentence errors."""
 
+import functools
 import json
 import re
 from pathlib import Path
@@ -37,6 +38,20 @@ def test_the_demo_says_each_step_where_there_is_no_terminal(
     result = run("demo", "--out", str(tmp_path))
     assert re.fullmatch(r" *\d+ s  first \[of two\]\n *\d+ s  second\n", result.stderr)
     assert "done" in result.stdout and (tmp_path / "report.html").exists()
+
+
+def test_the_demo_runs_its_long_parts_if_asked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def part(folder, say, name):
+        say(name)
+        return Section(name, ("Words.",))
+
+    parts = {n: (functools.partial(part, name=n), 1.0) for n in ("motion", "loops")}
+    monkeypatch.setattr("rbjax.demo.run.PARTS", parts)
+    assert "loops" not in run("demo", "--out", str(tmp_path)).stderr
+    text = run("demo", "--all", "--out", str(tmp_path)).stderr
+    assert "motion" in text and "loops" in text
 
 
 def test_info_says_what_a_robot_is() -> None:

@@ -38,6 +38,9 @@ if FOLDER.is_dir():
         name: (functools.partial(notebook, name=name), share) for name, share in NOTEBOOKS.items()
     }
 
+#: the parts of a demo that is not asked for everything: two minutes on two cores
+SHORT = ("motion", "validate", "identify", "integrators", "forces", "joints")
+
 _LEAD = (
     "Differentiable rigid-body dynamics in JAX. A robot file goes in. Fast, accurate and "
     "differentiable motion comes out, for one sample or a batch of a million. Everything on this "
@@ -51,6 +54,7 @@ def demo(
     say: Callable[[str], None] = print,
     done: Callable[[str, float], None] = lambda name, share: None,
     options: dict[str, dict[str, Any]] | None = None,
+    everything: bool = False,
 ) -> Path:
     """Run the demo and write pictures, report.md and report.html.
 
@@ -60,9 +64,10 @@ def demo(
         folder: for the output; created if absent.
         say: called with the name of each stage before it starts.
         done: called with a part's name and weight after it ends.
-        options: part -> keyword arguments, for smaller runs; None skips the part. The parts are
-            motion, validate, identify, integrators and, in a checkout of the repository, the
-            notebooks forces, joints, loops, wheels, planning, gpu_threads and swing_up.
+        options: part -> keyword arguments; None skips the part. The parts are motion, validate,
+            identify, integrators, and the notebooks forces, joints, loops, wheels, planning,
+            gpu_threads and swing_up.
+        everything: also run the parts that are neither in `SHORT` nor in `options`.
 
     Returns:
         The path of report.html.
@@ -71,7 +76,8 @@ def demo(
     folder.mkdir(parents=True, exist_ok=True)
     matplotlib.use("Agg")  # no window
     begin, sections = time.perf_counter(), []
-    chosen = {name: (options or {}).get(name, {}) for name in PARTS}
+    short = PARTS if everything else SHORT
+    chosen = {n: (options or {}).get(n, {} if n in short else None) for n in PARTS}
     with jax.enable_x64(True):
         for name, (part, share) in PARTS.items():
             if chosen[name] is None:
