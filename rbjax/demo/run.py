@@ -80,10 +80,11 @@ def demo(
     chosen = {n: (options or {}).get(n, {} if n in short else None) for n in PARTS}
     with jax.enable_x64(True):
         for name, (part, share) in PARTS.items():
-            if chosen[name] is None:
+            given = chosen[name]
+            if given is None:
                 continue
             start = time.perf_counter()
-            section = part(folder, say, **chosen[name])
+            section = part(folder, say, **given)
             sections.append(dataclasses.replace(section, seconds=time.perf_counter() - start))
             done(name, share)
     packages = ("jax", "mujoco", "mujoco-mjx")
