@@ -1,5 +1,4 @@
-"""The command line: `rbjax info | simulate | identify | validate | bench | demo`, and
-`rbjax --version`.
+"""The command line: `rbjax info | simulate | identify | validate | bench | demo | --version`.
 
 Commands compute in f64, inside `jax.enable_x64`. A `RbjaxError` prints one sentence and sets exit
 code 2. `validate` exits with 1 if a quantity is out of tolerance.
@@ -377,9 +376,7 @@ def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
 @app.command()
 def demo(
     folder: Annotated[Path, typer.Option("--out", help="Where to.")] = Path("rbjax-demo"),
-    everything: Annotated[
-        bool, typer.Option("--all", help="Also loops, wheels, plans, threads, a swing-up.")
-    ] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Also the long parts.")] = False,
 ) -> None:
     """Run rbjax on bundled scenes: pictures and a report in ./rbjax-demo/, in two minutes."""
     from rbjax.demo import demo as run
@@ -389,9 +386,8 @@ def demo(
     begin = time.perf_counter()
     with _session(), _progress(log=True) as (say, advance):
         advance(0.0, total)
-        report = run(
-            folder, say=say, done=lambda name, share: advance(share, total), everything=everything
-        )
+        done = lambda name, share: advance(share, total)  # noqa: E731
+        report = run(folder, say=say, done=done, everything=everything)
     out.print(f"[green]done[/] in {time.perf_counter() - begin:.0f} s: open [bold]{report}[/]")
 
 
