@@ -40,6 +40,11 @@ def outer(a: Array, b: Array) -> Array:
     return a[..., :, None] * b[..., None, :]
 
 
+def select(condition: Any, a: Any, b: Any) -> Any:
+    """Return a if the condition is true, else b, leaf by leaf."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
 Pair = tuple[jax.Array, jax.Array]
 
 

@@ -26,6 +26,7 @@ from jax.flatten_util import ravel_pytree
 from rbjax._jax_compat import any_of_batch
 from rbjax.arguments import integer
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.field import Field, flatten
 from rbjax.solvers.root_finding import MAX_STEPS, chord, mark_failed, step_result
@@ -35,7 +36,6 @@ from rbjax.solvers.steps import (
     combine,
     explicit_stages,
     hermite_coefficients,
-    select,
     weighted_sums,
 )
 

@@ -26,6 +26,7 @@ import lineax as lx
 import optimistix as optx
 
 from rbjax.arguments import real_number
+from rbjax.lanes.arrays import select
 from rbjax.solvers.field import Field, time_direction
 from rbjax.solvers.groups import group_of, unwrap
 from rbjax.solvers.root_finding import MAX_STEPS, chord, root, step_result
@@ -34,7 +35,6 @@ from rbjax.solvers.steps import (
     combine,
     dense_output,
     scale,
-    select,
     split_pair,
 )
 

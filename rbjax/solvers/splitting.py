@@ -22,6 +22,7 @@ import numpy as np
 
 from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.second_order import Halves
 from rbjax.solvers.steps import (
@@ -30,7 +31,6 @@ from rbjax.solvers.steps import (
     dense_output,
     explicit_stages,
     scale,
-    select,
     split_pair,
 )
 

@@ -47,11 +47,6 @@ def weighted_sums(a: Any, k: Any) -> Any:
     return jax.tree.map(mix, k)
 
 
-def select(condition: Any, a: Any, b: Any) -> Any:
-    """Return a if the condition is true, else b, leaf by leaf."""
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
-
-
 def stack(ks: Sequence[Any]) -> Any:
     """Stack pytrees along a new leading axis."""
     return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)

@@ -33,6 +33,7 @@ from rbjax.lanes import (
     rotation_z,
     sincos,
 )
+from rbjax.lanes.arrays import select
 from rbjax.lanes.primitives import whole_cotangent
 from rbjax.model import WORLD, Model, Prepared, Topology
 from rbjax.model.cells import lane_of, stacked
@@ -116,7 +117,7 @@ class Rolled(Driver):
             return whole
         outside = places == WORLD
         found = _row(whole, np.maximum(places, 0))
-        return _select(outside, world, found) if outside.any() else found
+        return select(outside, world, found) if outside.any() else found
 
     def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
         columns = [jnp.asarray(x, like.dtype) for x in lanes(whole)]
@@ -164,10 +165,10 @@ class Rolled(Driver):
             before, slots = carry
             parent = before
             for k, slot in enumerate(slots):
-                parent = _select(index[0] == k, slot, parent)
+                parent = select(index[0] == k, slot, parent)
             own, y = step(x, parent)
             own = as_arrays(own, self._like)
-            slots = tuple(_select(index[1] == k, own, slot) for k, slot in enumerate(slots))
+            slots = tuple(select(index[1] == k, own, slot) for k, slot in enumerate(slots))
             return (own, slots), y
 
         _, rest = self._scan(body, (before, tuple(waiting)), xs.rest, reverse=False)
@@ -181,18 +182,18 @@ class Rolled(Driver):
         def body(carry, index, x):
             total, slots = carry
             for k, slot in enumerate(slots):
-                total = jax.tree.map(add, total, _select(index[1] == k, slot, nothing))
+                total = jax.tree.map(add, total, select(index[1] == k, slot, nothing))
             message, y = step(x, total)
             message = as_arrays(message, self._like)
             slots = tuple(
                 jax.tree.map(
                     add,
-                    _select(index[1] == k, nothing, slot),
-                    _select(index[2] == k, message, nothing),
+                    select(index[1] == k, nothing, slot),
+                    select(index[2] == k, message, nothing),
                 )
                 for k, slot in enumerate(slots)
             )
-            return (message if chain else _select(index[2] == -1, message, nothing), slots), y
+            return (message if chain else select(index[2] == -1, message, nothing), slots), y
 
         carry = (nothing, (nothing,) * self._slots)
         (total, slots), rest = self._scan(body, carry, xs.rest, reverse=True)
@@ -229,10 +230,6 @@ class Rolled(Driver):
 
 def _row(columns: Any, i: Any) -> Any:
     return jax.tree.map(lambda column: column if is_literal(column) else column[i], columns)
-
-
-def _select(condition, a, b):
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def _uniform(column):

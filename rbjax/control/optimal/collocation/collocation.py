@@ -47,6 +47,7 @@ from rbjax.control.optimal.shooting.filter_search import Filter, Pair
 from rbjax.control.optimal.shooting.search import MAX_STALLED, count_stalled
 from rbjax.control.optimal.solution import Options, SearchResult, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+from rbjax.lanes.arrays import select
 from rbjax.solvers.tableau import Tableau
 
 FIRST_MU = 0.1
@@ -191,7 +192,7 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         point = t.step_along(now.point, step, a)
         kept = filter_search.updated_filter(now.filter, pair, phi(m), slope, a)
         moved = point, t.step_multipliers(point, l, by, a, back, mu), m, kept
-        point, l, m, kept = _choose(taken, moved, (now.point, l, before, now.filter))
+        point, l, m, kept = select(taken, moved, (now.point, l, before, now.filter))
 
         # stopping criteria
         gap = jnp.maximum(before.gap, m.gap)
@@ -208,14 +209,14 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         less = jnp.maximum(least, jnp.minimum(0.2 * mu, mu**1.5))
         less = jnp.where(solved, jnp.minimum(less, mu), mu)
         both = tuple(x.multipliers for x in t.rows(point, l))
-        l = _choose(solved, l._replace(centre=both), l)
-        kept = _choose(solved, filter_search.without_pairs(kept), kept)
+        l = select(solved, l._replace(centre=both), l)
+        kept = select(solved, filter_search.without_pairs(kept), kept)
         floor = jnp.where(taken, 0.0, jnp.maximum(LEAST_REG, HARDER * reg))
         begins = ~taken & ~closing & gains.ok & (before.gap > jnp.maximum(mu, eps**GAP))
         goal = jnp.where(begins, CLOSED * before.theta, now.closing)
         ends = closing & (m.theta <= now.closing)
         goal = jnp.where(ends, jnp.inf, goal)
-        kept = _choose(ends, filter_search.without_pairs(kept), kept)
+        kept = select(ends, filter_search.without_pairs(kept), kept)
         floor = jnp.where(begins | (closing & taken & ~ends), CLOSING_REG, floor)
 
         iterations = now.iterations + 1
@@ -236,10 +237,6 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         )  # fmt: skip
 
     return jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
-
-
-def _choose(condition: jax.Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(functools.partial(jnp.where, condition), one, other)
 
 
 def search_result(t: Transcribed, last: Iterate) -> SearchResult:
