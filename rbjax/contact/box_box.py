@@ -8,25 +8,17 @@ other box, meets the prism over the reference face. An edge axis gives one conta
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
 from rbjax.contact.shapes import Contact, Shape
 from rbjax.lanes import Lane, Vec3
+from rbjax.lanes.arrays import matmat, matvec
 
 #: vertices of the clipped face, at most
 VERTICES = 8
 #: squared length of the product of two edges that counts as parallel
 PARALLEL_EDGES = 1e-16
-
-
-class _Axis(NamedTuple):
-    """A separating direction from box one to box two, and the signed distance along it."""
-
-    separation: jax.Array
-    direction: jax.Array
 
 
 def box_box(one: Shape, other: Shape, reach: Lane) -> list[Contact]:
@@ -42,31 +34,30 @@ def box_box(one: Shape, other: Shape, reach: Lane) -> list[Contact]:
     skew = square > PARALLEL_EDGES
     edges = edges / jnp.sqrt(jnp.where(skew, square, 1.0))[:, None]
     axes = jnp.concatenate([faces, edges])
-    axes = axes * jnp.where(axes @ d < 0, -1.0, 1.0)[:, None]
-    extent = sum(jnp.abs(axes @ R[k]) @ s[k] for k in (0, 1))
-    separation = axes @ d - extent
+    axes = axes * jnp.where(matvec(axes, d) < 0, -1.0, 1.0)[:, None]
+    extent = sum(matvec(jnp.abs(matmat(axes, R[k])), s[k]) for k in (0, 1))
+    separation = matvec(axes, d) - extent
     separation = jnp.where(jnp.concatenate([jnp.ones(6, bool), skew]), separation, -jnp.inf)
 
     face = jnp.argmax(separation[:6])
     on_face = separation[face]
     edge, on_edge = _best_edge(separation[6:], on_face)
     axis = axes[6 + edge]
-    alike = (jnp.abs(axis @ axes[face]) > 0.99) & (
-        on_edge < on_face + 0.05 * jnp.abs(on_face) + 1e-15
-    )
+    alike = jnp.abs((axis * axes[face]).sum()) > 0.99
+    alike &= on_edge < on_face + 0.05 * jnp.abs(on_face) + 1e-15
     by_edge = (edge >= 0) & ~alike
     apart = jnp.max(separation) > reach + 1e-13 * s.sum()
 
     clipped = _face_contacts(R, p, s, axes[face], face, reach)
-    touching = _edge_contact(R, p, s, axis, jnp.maximum(edge, 0), on_edge)
+    midpoint = _edge_midpoint(R, p, s, axis, jnp.maximum(edge, 0))
     out = []
     for k in range(VERTICES):
         distance, position, normal, exists = (x[k] for x in clipped)
         if k == 0:
-            distance = jnp.where(by_edge, touching[0], distance)
-            position = jnp.where(by_edge, touching[1], position)
+            distance = jnp.where(by_edge, on_edge, distance)
+            position = jnp.where(by_edge, midpoint, position)
             normal = jnp.where(by_edge, axis, normal)
-            exists = jnp.where(by_edge, touching[0] <= reach, exists)
+            exists = jnp.where(by_edge, on_edge <= reach, exists)
         else:
             exists = exists & ~by_edge
         out.append(Contact(distance, Vec3(*position), Vec3(*normal), exists & ~apart))
@@ -74,6 +65,7 @@ def box_box(one: Shape, other: Shape, reach: Lane) -> list[Contact]:
 
 
 def _matrix(shape: Shape) -> jax.Array:
+    """Return R of a shape as an array (3, 3)."""
     return jnp.stack([jnp.asarray(x) for x in shape.R]).reshape(3, 3)
 
 
@@ -87,24 +79,25 @@ def _best_edge(separation: jax.Array, on_face: jax.Array) -> tuple[jax.Array, ja
     return index, best
 
 
-def _edge_contact(
-    R: jax.Array, p: jax.Array, s: jax.Array, axis: jax.Array, edge: jax.Array, distance: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Return distance and position of the contact of two edges."""
+def _edge_midpoint(
+    R: jax.Array, p: jax.Array, s: jax.Array, axis: jax.Array, edge: jax.Array
+) -> jax.Array:
+    """Return the midpoint between the nearest points of two edges."""
     i, j = edge // 3, edge % 3
     points, along = [], []
     for k, (which, sign) in enumerate(((i, 1.0), (j, -1.0))):
-        towards = jnp.where(R[k].T @ axis < 0, -1.0, 1.0) * sign
+        towards = jnp.where(matvec(R[k].T, axis) < 0, -1.0, 1.0) * sign
         corner = jnp.where(jnp.arange(3) == which, 0.0, towards * s[k])
-        points.append(p[k] + R[k] @ corner)
+        points.append(p[k] + matvec(R[k], corner))
         along.append(R[k][:, which])
     between = points[1] - points[0]
-    cosine, b0, b1 = along[0] @ along[1], along[0] @ between, along[1] @ between
+    cosine = (along[0] * along[1]).sum()
+    b0, b1 = ((a * between).sum() for a in along)
     limits = s[0][i], s[1][j]
     t0 = _clamped((b0 - cosine * b1) / jnp.maximum(1 - cosine * cosine, 1e-12), limits[0])
     t1 = _clamped(cosine * t0 - b1, limits[1])
     t0 = _clamped(cosine * t1 + b0, limits[0])
-    return distance, 0.5 * (points[0] + along[0] * t0 + points[1] + along[1] * t1)
+    return 0.5 * (points[0] + along[0] * t0 + points[1] + along[1] * t1)
 
 
 def _clamped(x: jax.Array, limit: jax.Array) -> jax.Array:
@@ -123,7 +116,7 @@ def _face_contacts(
     sx, sy = s[ref][(k + 1) % 3], s[ref][(k + 2) % 3]
     origin = p[ref] + outward * s[ref][k]
 
-    facing = outward @ R[inc]
+    facing = matvec(R[inc].T, outward)
     i = jnp.argmax(jnp.abs(facing))
     side = jnp.where(facing[i] > 0, -1.0, 1.0)
     center = p[inc] + R[inc][:, i] * (side * s[inc][i])
@@ -132,7 +125,7 @@ def _face_contacts(
         R[inc][:, (i + 2) % 3] * s[inc][(i + 2) % 3],
     )
     corners = jnp.stack([center + a * u + b * w for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-    local = (corners - origin) @ jnp.stack([x, y, outward], 1)
+    local = matmat(corners - origin, jnp.stack([x, y, outward], 1))
 
     polygon = jnp.concatenate([local, jnp.zeros((VERTICES - 4, 3), local.dtype)])
     count = jnp.int32(4)

@@ -84,7 +84,7 @@ def detect(
         0.1
     """
     check_model("detect", model)
-    geoms = geoms_of(model)
+    geoms = _geoms(model)
     q = check_array("detect", "q", q, (model.nq,))
     chosen = geoms.pairs if pairs is None else _pairs_of(model, pairs)
     _check_kinds(geoms, chosen)
@@ -95,7 +95,7 @@ def detect(
     return Contacts(distance, position, frame, exists, _geoms_of_candidates(geoms, chosen))
 
 
-def geoms_of(model: Model) -> Geoms:
+def _geoms(model: Model) -> Geoms:
     """Return the geoms of a model, or raise InputError if it has none."""
     if model.geoms is None:
         raise InputError("detect: the model has no geoms; load it from a file with geoms")
@@ -126,7 +126,7 @@ def _candidates(
     model: Model, q: jax.Array, reach: Any, pairs: tuple[tuple[int, int], ...]
 ) -> tuple:
     """Return the results of `_detect`, as a function of one sample."""
-    geoms, shapes = geoms_of(model), _shapes(model, q)
+    geoms, shapes = _geoms(model), _shapes(model, q)
     margin = jnp.asarray(geoms.margin + geoms.gap, q.dtype)
     found: dict[tuple[int, int], tuple] = {}
     for kinds, members in _by_kind(geoms, pairs).items():
@@ -151,16 +151,12 @@ def _columns(pair: Pair, one: Shape, other: Shape, reach: jax.Array) -> tuple:
         jnp.stack([jnp.asarray(x) for x in column])
         for column in ([c.distance for c in contacts], [c.exists for c in contacts])
     )
-    normal = _stacked([c.normal for c in contacts], reach.dtype)
-    tangent = _stacked([c.tangent or Vec3.zero() for c in contacts], reach.dtype)
-    axes = contact_frame(normal, tangent)
+    stacked = functools.partial(_stacked, dtype=reach.dtype)
+    tangents = [Vec3.zero() if c.tangent is None else c.tangent for c in contacts]
+    axes = contact_frame(stacked([c.normal for c in contacts]), stacked(tangents))
     frame = jnp.stack([jnp.stack(list(axis), -1) for axis in axes], -2)
-    return (
-        distance,
-        jnp.stack(list(_stacked([c.position for c in contacts], reach.dtype)), -1),
-        frame,
-        exists,
-    )
+    position = jnp.stack(list(stacked([c.position for c in contacts])), -1)
+    return distance, position, frame, exists
 
 
 def _stacked(vectors: Sequence[Vec3], dtype: Any) -> Vec3:
@@ -179,11 +175,13 @@ def _geoms_of_candidates(
 def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
     """Return pairs of indices of geoms, the geom of the earlier kind first."""
     order = list(dict.fromkeys(kind for pair in PAIRS for kind in pair))
+    if not isinstance(pairs, list | tuple):
+        raise InputError(f"detect: pairs is {shown(pairs)}, expected a sequence of two geoms each")
     out = []
     for pair in pairs:
-        if isinstance(pair, str) or len(pair) != 2:
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two geoms")
-        kinds = {model.geom(x): geoms_of(model).types[model.geom(x)] for x in pair}
+        kinds = {model.geom(x): _geoms(model).types[model.geom(x)] for x in pair}
         rank = {i: order.index(k) if k in order else len(order) for i, k in kinds.items()}
         if len(rank) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two different geoms")
@@ -214,7 +212,7 @@ def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[tuple[str, 
 
 def _shapes(model: Model, q: jax.Array) -> Shape:
     """Return all geoms in the world, as lanes (ng,)."""
-    geoms = geoms_of(model)
+    geoms = _geoms(model)
     poses = forward_kinematics(model, q)
     R = jnp.concatenate([poses.R, jnp.eye(3, dtype=q.dtype)[None]])
     p = jnp.concatenate([poses.p, jnp.zeros((1, 3), q.dtype)])

@@ -14,13 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import product
-from typing import Any
 
 import jax.numpy as jnp
 
 from rbjax.contact.box_box import box_box
-from rbjax.contact.shapes import PARALLEL, TINY, Contact, Shape, times, unit, where
+from rbjax.contact.shapes import PARALLEL, TINY, Contact, Shape, times, unit
 from rbjax.lanes import Lane, Vec3
+from rbjax.lanes.arrays import select
 
 Pair = Callable[[Shape, Shape, Lane], list[Contact]]
 
@@ -116,11 +116,11 @@ def sphere_cylinder(sphere: Shape, cylinder: Shape, reach: Lane) -> list[Contact
     r = sphere.size[0]
     on_axis, on_rim = cylinder.p + a * x, cylinder.p + end * half + outward * radius
     ball = _balls(
-        sphere, cylinder, sphere.p, r, where(side, on_axis, on_rim),
+        sphere, cylinder, sphere.p, r, select(side, on_axis, on_rim),
         jnp.where(side, radius, 0.0), reach,
     )  # fmt: skip
-    flat = _plane_ball(cylinder.p + end * half, end, sphere.p, r, reach).reversed()
-    return [_choose(cap, flat, ball)]
+    flat = _plane_ball(cylinder.p + end * half, end, sphere.p, r, reach)
+    return [select(cap, flat._replace(normal=-flat.normal), ball)]
 
 
 def sphere_box(sphere: Shape, box: Shape, reach: Lane) -> list[Contact]:
@@ -140,12 +140,12 @@ def sphere_box(sphere: Shape, box: Shape, reach: Lane) -> list[Contact]:
     for k, sign in product(range(3), (-1.0, 1.0)):
         to_face = jnp.abs(box.size[k] * sign - c[k])
         axis = Vec3(*(-sign if i == k else 0.0 for i in range(3)))
-        inward = where(to_face < depth, axis, inward)
+        inward = select(to_face < depth, axis, inward)
         depth = jnp.minimum(depth, to_face)
 
-    n = where(outside, towards * (1 / gap), inward)
+    n = select(outside, towards * (1 / gap), inward)
     distance = jnp.where(outside, gap - r, -depth - r)
-    position = where(outside, (nearest + c + n * r) * 0.5, c + n * (0.5 * (r - depth)))
+    position = select(outside, (nearest + c + n * r) * 0.5, c + n * (0.5 * (r - depth)))
     return [Contact(distance, box.p + box.R @ position, box.R @ n, distance <= reach)]
 
 
@@ -224,15 +224,3 @@ def _balls(
     gap = jnp.where(d.dot(d) > TINY * TINY, gap, 0.0)
     distance = gap - r1 - r2
     return Contact(distance, c1 + n * (r1 + 0.5 * distance), n, distance <= reach)
-
-
-def _choose(condition: Lane, a: Contact, b: Contact) -> Contact:
-    def pick(x: Any, y: Any) -> Any:
-        return jnp.where(condition, x, y)
-
-    return Contact(
-        pick(a.distance, b.distance),
-        where(condition, a.position, b.position),
-        where(condition, a.normal, b.normal),
-        pick(a.exists, b.exists),
-    )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane, Mat3, Vec3
+from rbjax.lanes.arrays import select
 
 #: a length that counts as zero, m
 TINY = 1e-15
@@ -51,10 +52,6 @@ class Contact(NamedTuple):
     exists: Lane
     tangent: Vec3 | None = None
 
-    def reversed(self) -> Contact:
-        """Return the contact with the shapes exchanged."""
-        return self._replace(normal=-self.normal)
-
 
 def contact_frame(normal: Vec3, tangent: Vec3 | None = None) -> tuple[Vec3, Vec3, Vec3]:
     """Return the axes of a contact frame: the normal and two tangents.
@@ -67,7 +64,7 @@ def contact_frame(normal: Vec3, tangent: Vec3 | None = None) -> tuple[Vec3, Vec3
     first = Vec3(0.0, jnp.where(steep, 0.0, 1.0), jnp.where(steep, 1.0, 0.0))
     if tangent is not None:
         across = tangent - normal * normal.dot(tangent)
-        first = where(across.dot(across) > PARALLEL * tangent.dot(tangent), tangent, first)
+        first = select(across.dot(across) > PARALLEL * tangent.dot(tangent), tangent, first)
     first = unit(first - normal * normal.dot(first), Vec3(1.0, 0.0, 0.0))
     return normal, first, normal.cross(first)
 
@@ -76,13 +73,9 @@ def unit(v: Vec3, otherwise: Vec3) -> Vec3:
     """Return v / |v|, or another vector if v is zero; derivatives are finite."""
     square = v.dot(v)
     valid = square > TINY * TINY
-    return where(valid, v * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), otherwise)
+    return select(valid, v * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), otherwise)
 
 
 def times(a: Vec3, b: Vec3) -> Vec3:
     """Return the product of the entries."""
     return Vec3(*(x * y for x, y in zip(a, b, strict=True)))
-
-
-def where(condition: Lane, a: Vec3, b: Vec3) -> Vec3:
-    return Vec3(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rbjax.contact.narrow_phase import PAIRS
+from rbjax.contact.narrow_phase import COUNTS, PAIRS
 from rbjax.contact.shapes import Contact, Shape, contact_frame
 from rbjax.lanes import Mat3, Vec3
 
@@ -91,6 +91,7 @@ def test_contacts_are_those_of_mujoco(kinds, count) -> None:
         return arrays(PAIRS[kinds], one, other, MARGIN)
 
     distance, position, frame, exists = (np.asarray(x) for x in ours(p, R))
+    assert exists.shape == (count, COUNTS[kinds])
     assert [int(x) for x in exists.sum(1)] == [len(x) for x in want]
     assert np.mean(exists.sum(1) > 0) > 0.1 and len(set(exists.sum(1))) > 1
     for k, contacts in enumerate(want):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+
 import mujoco
-import numpy as np
 
 
 def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
@@ -33,14 +34,12 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
             return False
         return not excluded & {(body[a], body[b]), (body[b], body[a])}
 
-    ngeom = m.ngeom
-    others = [
-        _in_order(m, a, b) for a in range(ngeom) for b in range(a + 1, ngeom) if may_touch(a, b)
-    ]
+    every = itertools.combinations(range(m.ngeom), 2)
+    others = [_in_order(m, a, b) for a, b in every if may_touch(a, b)]
     return tuple(dict.fromkeys([*named, *others]))
 
 
 def _in_order(m: mujoco.MjModel, a: int, b: int) -> tuple[int, int]:
     """Return a pair of geoms in the order of their kinds, then of their indices."""
-    kinds = np.asarray(m.geom_type)
+    kinds = m.geom_type
     return (a, b) if (kinds[a], a) <= (kinds[b], b) else (b, a)
