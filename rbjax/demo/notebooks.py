@@ -19,7 +19,7 @@ from rbjax.demo.report import Section
 from rbjax.errors import RbjaxError
 
 CHECKOUT = Path(__file__).parents[2] / "notebooks"
-#: the notebooks: those of a checkout, or those that were installed with the package
+#: folder of the notebooks: in a checkout, or installed with the package
 FOLDER = CHECKOUT if CHECKOUT.is_dir() else Path(sys.prefix) / "share" / "rbjax" / "notebooks"
 #: notebook -> its weight in progress bars
 NOTEBOOKS = {

@@ -38,7 +38,7 @@ if FOLDER.is_dir():
         name: (functools.partial(notebook, name=name), share) for name, share in NOTEBOOKS.items()
     }
 
-#: the parts of a demo that is not asked for everything: two minutes on two cores
+#: the parts that run by default, in two minutes on two cores
 SHORT = ("motion", "validate", "identify", "integrators", "forces", "joints")
 
 _LEAD = (

@@ -82,8 +82,8 @@ class InertiaBoxFluid(Element):
     bodies: tuple[int, ...] = eqx.field(static=True)
 
     def shapes(self, model: Model) -> Shapes:
-        alone = {"density": (), "viscosity": (), "wind": (3,)}
-        return alone | {"orientation": (len(self.bodies), 4)}
+        shared = {"density": (), "viscosity": (), "wind": (3,)}
+        return shared | {"orientation": (len(self.bodies), 4)}
 
     @classmethod
     def of(
@@ -228,9 +228,9 @@ class EllipsoidFluid(Element):
     bodies: tuple[int, ...] = eqx.field(static=True)
 
     def shapes(self, model: Model) -> Shapes:
-        n, alone = len(self.bodies), {"density": (), "viscosity": (), "wind": (3,)}
+        n, shared = len(self.bodies), {"density": (), "viscosity": (), "wind": (3,)}
         rows = {"semi_axes": (n, 3), "position": (n, 3), "orientation": (n, 4)}
-        return alone | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
+        return shared | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
 
     def loads(self, now: Context) -> Loads:
         """Compute the forces on each ellipsoid."""

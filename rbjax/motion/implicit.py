@@ -182,8 +182,8 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         error = None
         if self.tableau.error:
             off = error_of(found, dynamics, self.tableau, model, forces, y0, h)
-            beside = term.group.retract(y1, increment(model, off))
-            error = mark_failed(found.ok, jax.tree.map(jnp.subtract, beside, y1))
+            nearby = term.group.retract(y1, increment(model, off))
+            error = mark_failed(found.ok, jax.tree.map(jnp.subtract, nearby, y1))
         coefficients = increment(model, found.polynomial(self.tableau, h))
         dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
         return y1, error, dense, solver_state, step_result(found.ok)
@@ -266,8 +266,8 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         )
         model = term.vector_field.model(args)
         y1 = term.group.retract(y0, increment(model, out.u))
-        beside = term.group.retract(y1, increment(model, out.error))
-        error = mark_failed(out.ok, jax.tree.map(jnp.subtract, beside, y1))
+        nearby = term.group.retract(y1, increment(model, out.error))
+        error = mark_failed(out.ok, jax.tree.map(jnp.subtract, nearby, y1))
         ts = jnp.concatenate([t0[None], ts[:-1]])
         states = jax.tree.map(lambda x, past: jnp.concatenate([x[None], past[:-1]]), y0, states)
         after = History(ts, states, jnp.minimum(filled + 1, self.formula_order))

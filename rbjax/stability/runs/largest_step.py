@@ -163,28 +163,28 @@ def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
 
 @eqx.filter_jit
 def _deviation(
-    model: Model, state: State, beside: State, ctrl: Any, dt: Any, method: Any, steps: int
+    model: Model, state: State, nearby: State, ctrl: Any, dt: Any, method: Any, steps: int
 ) -> jax.Array:
     """Return the final deviation from `state`, which is at rest, over the initial deviation. The
-    motion starts at `beside`. A second motion from `state` would have the same rounding errors."""
+    motion starts at `nearby`. A second motion from `state` would have the same rounding errors."""
     if isinstance(method, str):
         ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
         path = rollout(
-            model, beside, ctrls, dt, integrator=method, steps=steps, save_every=steps,
+            model, nearby, ctrls, dt, integrator=method, steps=steps, save_every=steps,
             kernel=False,
         )  # fmt: skip
     else:
         control = None if ctrl is None else (lambda t, _: ctrl)
         ts = jnp.array([0.0, 1.0]) * dt * steps * (1 - 1e-12)
         path = simulate(
-            model, beside, ts, control, solver=method, dt=dt, throw=False, max_steps=steps + 1,
+            model, nearby, ts, control, solver=method, dt=dt, throw=False, max_steps=steps + 1,
             adjoint=diffrax.ForwardMode(),
         )  # fmt: skip
 
     def away(x):
         return jnp.linalg.norm(jnp.concatenate([difference(model, state.q, x.q), x.v - state.v]))
 
-    return away(path.state(-1)) / away(beside)
+    return away(path.state(-1)) / away(nearby)
 
 
 def measured_stable_step(
@@ -246,11 +246,11 @@ def measured_stable_step(
     rng = np.random.default_rng(0)
     q, v = state.q, state.v
     kick = SMALL * rng.normal(size=(2, model.nv))
-    beside = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
+    nearby = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
     ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
 
     def stable(dt: float) -> bool:
-        found = _deviation(model, State(q, v), beside, ctrl, jnp.asarray(dt, q.dtype), run, steps)
+        found = _deviation(model, State(q, v), nearby, ctrl, jnp.asarray(dt, q.dtype), run, steps)
         return bool(found < GROWN)
 
     low, high = near / 4, near * 4
