@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
+    from rbjax.motion.impacts import ImpactTrajectory, simulate_impacts
     from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -93,6 +94,8 @@ _MODULES = {
     "rollout": "motion.rollout",
     "scenes": "loading",
     "simulate": "motion.simulate",
+    "ImpactTrajectory": "motion.impacts",
+    "simulate_impacts": "motion.impacts",
     "step": "motion.step",
     "write_back": "loading",
     "write_mjcf": "loading",
@@ -122,6 +125,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "ImpactTrajectory",
     "InputError",
     "Frame",
     "Model",
@@ -183,6 +187,7 @@ __all__ = [
     "scenes",
     "sensors",
     "simulate",
+    "simulate_impacts",
     "solvers",
     "spatial",
     "stability",

@@ -31,6 +31,7 @@ ELSEWHERE = {
     "rollout",
     "scenes",
     "simulate",
+    "simulate_impacts",
     "threads",
     "write_back",
     "write_mjcf",
