@@ -118,8 +118,7 @@ def solve_impulses(
 def _scales(problem: ImpulseProblem) -> tuple[jax.Array, jax.Array]:
     """Return the normal diagonal of D and a bound of its tangential block, per contact."""
     n = len(problem.b)
-    i = jnp.arange(n)
-    block = problem.D[i, :, i, :]
+    block = (problem.D * jnp.eye(n, dtype=problem.D.dtype)[:, None, :, None]).sum(2)
     normal = block[:, 0, 0]
     tangential = jnp.maximum(block[:, 1, 1], block[:, 2, 2]) + jnp.abs(block[:, 1, 2])
     # a contact between bodies that cannot move has no impulse; any scale will do

@@ -94,19 +94,19 @@ def relative_velocity(
     """Return the relative velocities u (n, 3) of the contact points, in the contact axes."""
     now, dtype = Context.of(model, 0.0, State(q, v), None), q.dtype
     two = bodies_of(model, pairs)
-    used = sorted({*two[0], *two[1]})
-    frames = [now.body(int(b)) for b in used]
-    angular, linear, origin = (
-        jnp.stack([jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in rows])
-        for rows in zip(
-            *((f.angular_velocity, f.velocity, f.position) for f in frames), strict=True
+    motions = {}
+    for body in sorted({*two[0], *two[1]}):
+        frame = now.body(int(body))
+        vectors = (frame.angular_velocity, frame.velocity, frame.position)
+        motions[body] = [jnp.stack([jnp.asarray(x, dtype) for x in row]) for row in vectors]
+
+    def velocity(bodies: np.ndarray) -> jax.Array:
+        angular, linear, origin = (
+            jnp.stack(rows) for rows in zip(*(motions[x] for x in bodies), strict=True)
         )
-    )
-    at = {body: i for i, body in enumerate(used)}
-    a, b = (
-        linear[i] + jnp.cross(angular[i], points.position - origin[i])
-        for i in (np.array([at[x] for x in bodies], int) for bodies in two)
-    )
+        return linear + jnp.cross(angular, points.position - origin)
+
+    a, b = map(velocity, two)
     return matvec(points.frame, b - a)
 
 

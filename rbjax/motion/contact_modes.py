@@ -119,8 +119,8 @@ def kept_forces(
     """Return the forces (n, 3) that keep the relative acceleration of kept rows at zero.
 
     Rows that are not kept have no force; the friction of a sliding contact is -mu f_n times the
-    direction of slip. The matrix is regularised by its rounding, with two refinements, for contacts
-    that are redundant.
+    direction of slip. The matrix is regularised, with two refinements, for contacts that are
+    redundant and for points that cannot move in some direction.
     """
     n = len(mu)
     sticks = mode.kept & ~mode.slides & (mu > 0)
@@ -130,17 +130,15 @@ def kept_forces(
     direction = jnp.where(along[:, None], u[:, 1:] / speed[:, None], mode.direction)
     # forces f = B x of the unknowns x: the kept rows, and friction by normal forces
     rub = jnp.where(mode.kept & mode.slides & jnp.isfinite(mu), mu, 0)
-    B = (
-        jnp.zeros((n, 3, n), free.dtype)
-        .at[jnp.arange(n), 1:, jnp.arange(n)]
-        .set(-rub[:, None] * direction)
-    )
-    B = jnp.zeros((n, 3, n, 3), free.dtype).at[..., 0].set(B).reshape(3 * n, 3 * n)
+    one, normal = jnp.eye(n, dtype=free.dtype), jnp.array([1, 0, 0], free.dtype)
+    column = jnp.concatenate([jnp.zeros((n, 1), free.dtype), -rub[:, None] * direction], -1)
+    B = column[:, :, None, None] * one[:, None, :, None] * normal
+    B = B.reshape(3 * n, 3 * n)
     B = jnp.where(rows[None], B + jnp.eye(3 * n, dtype=free.dtype), 0)
     A = (D.reshape(3 * n, 3 * n)[:, :, None] * B[None]).sum(1)
     A = jnp.where(rows[:, None], A, jnp.eye(3 * n, dtype=free.dtype))
     right = jnp.where(rows, -free.reshape(-1), 0)
-    small = 10 * jnp.finfo(free.dtype).eps * jnp.abs(jax.lax.stop_gradient(A)).max()
+    small = jnp.finfo(free.dtype).eps ** (2 / 3) * jnp.abs(jax.lax.stop_gradient(A)).max()
     factors = jax.scipy.linalg.lu_factor(A + small * jnp.eye(3 * n, dtype=free.dtype))
     x = jax.scipy.linalg.lu_solve(factors, right)
     for _ in range(2):

@@ -11,17 +11,21 @@ Vector Fields*, 1.5; McGeer, *Passive dynamic walking*, 1990.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
 from rbjax.arguments import floating_array, integer, real_number
+from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
+
+#: largest number of halvings of a Newton step
+HALVINGS = 12
 
 
 class LimitCycle(NamedTuple):
@@ -93,30 +97,49 @@ def limit_cycle(
     if getattr(shape, "shape", None) != y.shape:
         raise InputError(f"limit_cycle: return_map returned {shape}, expected shape {y.shape}")
 
-    @jax.jit
-    def solve(y: jax.Array) -> tuple:
-        newton = optx.Newton(rtol=0.1 * tolerance, atol=0.1 * tolerance)
-        found = optx.root_find(
-            lambda y, _: return_map(y) - y, newton, y, max_steps=max_steps, throw=False
-        )
-        return found.value, found.stats["num_steps"]
-
-    state, steps = solve(y)
-
-    @jax.jit
-    def value_and_jacobian(y: jax.Array) -> tuple:
-        after, push = jax.linearize(return_map, y)
-        return after, jax.vmap(push, out_axes=1)(jnp.eye(len(y), dtype=y.dtype))
-
-    after, jacobian = (np.asarray(x, float) for x in value_and_jacobian(state))
-    residual = float(np.abs(after - np.asarray(state)).max())
+    evaluate = compiled(functools.partial(_value_and_jacobian, return_map))
+    y, after, jacobian, steps = _newton(evaluate, y, tolerance, max_steps)
+    residual = float(np.abs(after - np.asarray(y, float)).max())
     success = bool(residual <= tolerance and np.isfinite(jacobian).all())
     if throw and not success:
         raise InputError(
-            f"limit_cycle: no fixed point near the guess; after {int(steps)} Newton steps the "
+            f"limit_cycle: no fixed point near the guess; after {steps} Newton steps the "
             f"residual is {residual:.2g}. Start nearer, for example after some cycles of the "
             "motion, or throw=False to look at the result"
         )
     eigenvalues = np.linalg.eigvals(jacobian) if success else np.full(len(y), np.nan + 0j)
     order = np.argsort(-np.abs(eigenvalues), kind="stable")
-    return LimitCycle(state, eigenvalues[order], jacobian, residual, int(steps), success)
+    return LimitCycle(y, eigenvalues[order], jacobian, residual, steps, success)
+
+
+def _value_and_jacobian(return_map: Callable, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return P(y) and P'(y), in one program: a return map with impacts is slow to compile."""
+    after, push = jax.linearize(return_map, y)
+    return after, jax.vmap(push, out_axes=1)(jnp.eye(len(y), dtype=y.dtype))
+
+
+def _newton(
+    evaluate: Callable, y: jax.Array, tolerance: float, max_steps: int
+) -> tuple[jax.Array, np.ndarray, np.ndarray, int]:
+    """Return the last iterate, P and P' there, and the number of steps. A step is halved until the
+    residual decreases; after the tolerance is met, one step more removes the error of the last."""
+    after, J = (np.asarray(x, float) for x in evaluate(y))
+    off = after - np.asarray(y, float)
+    for steps in range(max_steps):
+        if not (np.isfinite(off).all() and np.isfinite(J).all()):
+            return y, after, J, steps
+        met = np.abs(off).max() <= tolerance
+        step = np.linalg.lstsq(np.eye(len(off)) - J, off, rcond=None)[0]
+        for _ in range(1 if met else HALVINGS):
+            new = y + jnp.asarray(step, y.dtype)
+            later, new_J = (np.asarray(x, float) for x in evaluate(new))
+            new_off = later - np.asarray(new, float)
+            if np.abs(new_off).max() < np.abs(off).max():
+                break
+            step = step / 2
+        else:
+            return y, after, J, steps
+        y, after, J, off = new, later, new_J, new_off
+        if met:
+            return y, after, J, steps + 1
+    return y, after, J, max_steps
