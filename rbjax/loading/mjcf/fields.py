@@ -151,7 +151,7 @@ def _wraps(m: mujoco.MjModel, tendon: int) -> bool:
 
 
 def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:
-    """Return solref with a time constant of two time steps or more, unless the file permits less."""
+    """Return solref with a time constant of two time steps or more, unless refsafe is off."""
     if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
         return np.array([max(solref[0], 2 * m.opt.timestep), solref[1]])
     return solref
