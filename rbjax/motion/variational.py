@@ -125,7 +125,11 @@ def largest(x: jax.Array) -> jax.Array:
 def residual(
     top: Topology, half: Any, w: jax.Array, p: jax.Array, p0: jax.Array, force: jax.Array
 ) -> jax.Array:
-    """Compute the residual p - S E p0 - h/2 J F."""
+    """Compute the residual p - S E p0 - h/2 J F of the midpoint momentum p.
+
+    On attitudes S, E and J are 3 by 3 functions of half the rotation of the step. Elsewhere they
+    are 1. `half` is h / 2, and `force` is F.
+    """
 
     def turned(y: Vec3, p: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2, c3 = stumpff(y.dot(y), 1, 2, 3)
@@ -138,8 +142,11 @@ def residual(
 
 
 def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
-    """Compute the momentum after the step, p1 = E (E p0 + h F). E and F are those of
-    the module's docstring; `half` is h / 2."""
+    """Compute the momentum after the step, p1 = E (E p0 + h F).
+
+    On attitudes E rotates by minus half the rotation of the step. Elsewhere it is 1.
+    `half` is h / 2, and `force` is F.
+    """
 
     def turned(y: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2 = stumpff(y.dot(y), 1, 2)

@@ -107,7 +107,7 @@ def least_change(
         return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
     def at_start(changed, q, v, x, l):
-        """Return the driver, the context and the rows at q, and G^T l - W x."""
+        """Compute driver, context and constraint rows at q, and the residual G^T l - W x."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Context.of(model, t0, State(q, v), None, d=d)

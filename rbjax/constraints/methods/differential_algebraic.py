@@ -70,7 +70,8 @@ class DifferentialAlgebraic(Method):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """Method whose linearized equations damp an error estimate (`damp_error`)."""
+        """The method whose linearised equations damp the error estimate (`damp_error`): this
+        method."""
         return self
 
     def algebraic(
@@ -79,9 +80,8 @@ class DifferentialAlgebraic(Method):
         """Describe the algebraic equations of a model.
 
         Returns:
-            The number of integrations from acceleration for each equation, the `free_body_diagonal`
-                of
-            each equation, and the number of GGL rows.
+            The number of integrations from acceleration to each residual, the `free_body_diagonal`
+            (m,) of the equations, and the number of GGL rows.
         """
         d = driver(model, state.q.dtype)
         now = Context.of(model, t, state, None, d=d)
@@ -174,7 +174,10 @@ class Index3(DifferentialAlgebraic):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """GGL, because at index 3 velocity errors across constraints persist for short steps."""
+        """The method whose linearised equations damp the error estimate: GGL.
+
+        At index 3 velocity errors across the constraints persist for short steps.
+        """
         return GGL()
 
 

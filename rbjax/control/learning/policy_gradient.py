@@ -250,5 +250,5 @@ def renew_batch(
 
 
 def _is_number(x: Any) -> bool:
-    """Return whether a leaf, or its shape, is of floating-point numbers."""
+    """Return whether a leaf is a floating-point array, or the shape of one."""
     return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)

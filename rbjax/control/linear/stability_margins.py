@@ -119,7 +119,10 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
         return (k * jnp.linalg.solve(z * one - A, b.astype(z.dtype))).sum()
 
     def refined(f: Any, values: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return frequencies at which f(l) changes sign, and l at them; unused entries are nan."""
+        """Return frequencies at which f(l) changes sign, and the loop transfer function l at them.
+
+        Unused entries are nan.
+        """
         sign = jnp.signbit(values)
         at = jnp.nonzero(sign[1:] != sign[:-1], size=CROSSINGS, fill_value=-1)[0]
         low, high = w[at], w[at + 1]

@@ -184,7 +184,7 @@ def whole_operands(d: Driver, *args: Any) -> Operands:
 
 
 def _before(top: Topology, i: int) -> int:
-    """Return the link whose twist gives Psi' = V x S for link i.
+    """Return the link whose twist V gives the rate Psi' = V x S of the axis of link i.
 
     It is the parent of the first link of a ball. Otherwise it is link i itself, because S x S = 0.
     """

@@ -98,7 +98,8 @@ class InverseMass:
 
 
 def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
-    """Compute P as an array (nv, nv), with one outward sweep for all columns."""
+    """Compute P as an array (nv, nv): the joint accelerations for a unit acceleration of each
+    joint."""
 
     def follow(x, a_parent):
         S, U, unit = x

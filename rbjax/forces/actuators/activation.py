@@ -57,8 +57,11 @@ class Activation(Record):
         return self.within(a + h * self.rate(u, a))
 
     def within(self, a: Lane, period: Lane | None = None) -> Lane:
-        """Clip a to its range. With the period of an angle, keep a value that is equal to one in
-        the range up to full periods: `advanced` clips first, and then adds periods."""
+        """Clip a to its range.
+
+        period: of a value that is an angle; None otherwise. An angle that differs from one in the
+            range by full periods is returned unchanged.
+        """
         limits = table(self.limits, a.dtype)[None]
         near = clip(a, limits, 0)
         if period is None or near is a:

@@ -91,7 +91,8 @@ class DCMotor(ForceLaw):
     cogging: (3,) amplitude, number of poles, phase.
     voltage: whether the last control is a terminal voltage; static.
 
-    The states, if present, are the states of the controller, then T - Ta, z and i.
+    The states are the controller's states, the temperature rise T - Ta, the bristle deflection z
+    and the current i. Absent states are omitted.
     """
 
     windings: Windings
@@ -142,7 +143,7 @@ class DCMotor(ForceLaw):
         return [*self.controller.within(x[:n], dtype), *x[n:]]
 
     def _parts(self, seen: Signals) -> dict[str, Lane]:
-        """Return the states other than the controller's, by name."""
+        """Return the temperature, friction and current states by name."""
         own = [("T", self.heat is not None), ("z", self.bristles is not None)]
         names = [name for name, there in [*own, ("i", self.windings.inductive)] if there]
         return dict(zip(names, seen.x[self.size - len(names) :], strict=True))

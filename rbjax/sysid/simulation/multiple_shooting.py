@@ -172,7 +172,10 @@ class MultipleShooting:
         return triangle_of(np.concatenate(blocks))
 
     def merge(self, x: np.ndarray) -> np.ndarray:
-        """Select x of whole runs: the unknowns, and the corrections of each run's initial state."""
+        """Convert x of the segments to x of the whole runs.
+
+        It keeps the unknowns, and the initial state corrections of the first segment of each run.
+        """
         n = self.segments.shared
         own = x[n:].reshape(-1, self.segments.own)
         return np.append(x[:n], own[self.firsts])

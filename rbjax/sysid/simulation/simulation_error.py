@@ -300,7 +300,8 @@ class SimulationError:
         return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
-        """Compute R from the residuals (runs, rows) and their derivatives along the seeds."""
+        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their seed
+        derivatives."""
         n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
@@ -353,7 +354,7 @@ def sum_of_squares(r: np.ndarray) -> float:
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """Compute R of the QR factorisation of rows [J r], or nan if an entry is not finite."""
+    """Compute the QR factor R of rows [J r], or nan if an entry is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((n, n), np.nan, rows.dtype)

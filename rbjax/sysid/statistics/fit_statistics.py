@@ -130,7 +130,7 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """Compute a matrix R with n columns and R^T R = H."""
+    """Compute R (.., n) with R^T R = sum_c a_c J_c^T J_c, for the mean slopes a_c (`shares`)."""
     by_run = [[column.runs[k] for column in columns] for k in range(len(columns[0].runs))]
     parts = []
     for run in by_run:

@@ -237,7 +237,7 @@ def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
 
 
 def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
-    """Choose as many independent columns as there are orthonormal rows, the first in order.
+    """Choose r independent columns of r orthonormal rows, with priority in the given order.
 
     The first pass keeps columns with a clear component outside of the span of the kept ones. If
     these are too few, the columns with the largest such components follow.

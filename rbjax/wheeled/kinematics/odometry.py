@@ -241,7 +241,8 @@ def odometry(
 
 
 def _times(where: str, t: Any, rising: bool) -> jax.Array:
-    """Check at least two times, which must not decrease or, if `rising`, must increase."""
+    """Check that there are at least two times, which must not decrease or, if `rising`, must
+    increase."""
     (count,) = shape_of(where, "t", t)[:1] or (0,)
     t = check_array(where, "t", t, (max(count, 2),))
     if not isinstance(t, jax.core.Tracer):

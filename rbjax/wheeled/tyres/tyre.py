@@ -77,7 +77,7 @@ class Tyre(Record):
 
     @property
     def size(self) -> int:
-        """The number of states, which is zero."""
+        """The number of states, zero for a law without relaxation."""
         return 0
 
     @property
@@ -111,7 +111,7 @@ class Tyre(Record):
         return (ux - roll_speed) * inverse, uy * inverse
 
     def response(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any = ()) -> tuple[Pair, Any]:
-        """Compute the traction from u and r phi', and the rate of the state z, which is empty."""
+        """Compute the traction from u and r phi', and the rates of the state, which is empty."""
         return self.traction(*self.slip(ux, uy, roll_speed)), ()
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
@@ -124,7 +124,7 @@ class Tyre(Record):
         return along * inverse, across * inverse
 
     def stored(self, z: Any = ()) -> Lane:
-        """Return the energy of the state per newton of load, m, which is zero."""
+        """Return the stored energy per newton of load, m: zero for a law without relaxation."""
         return 0.0
 
 

@@ -68,7 +68,7 @@ class Functions(NamedTuple):
 
 
 class PrimalDualPoint(NamedTuple):
-    """The point of a derivative: knots, controls, multipliers of path and end constraints."""
+    """The point at which an optimum is differentiated: knots, controls and multipliers."""
 
     knots: Knot
     ctrls: jax.Array

@@ -216,7 +216,7 @@ def backward_pass(
 
 
 def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the gradient, with 0 for entries whose descent violates bounds of the step."""
+    """Return the gradient, with 0 in entries whose descent violates a bound of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 

@@ -241,7 +241,7 @@ def columns(
 
 
 def knot_indices(N: int, dtype: Any) -> jax.Array:
-    """Return the indices of the knots with controls, as a compile-time constant."""
+    """Return the indices 0 ... N - 1 of the knots with controls, as a compile-time constant."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 
