@@ -24,6 +24,7 @@ from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.record import EXECUTION, Execution
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
+from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 
@@ -159,7 +160,9 @@ class Model(Record):
     forces: tuple = ()
     #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
-    geoms: Geoms | None = None  # None if the model is not from a file
+    #: shapes, and parameters of MuJoCo's constraints; None if the model is not from a file
+    geoms: Geoms | None = None
+    solver: SolverParameters | None = None
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
