@@ -162,7 +162,7 @@ class _Drag(NamedTuple):
 
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
-    """Compute the drag -(k + c_i |u_i|) u_i."""
+    """Compute the drag -(viscous + quadratic_i |u_i|) u_i along each axis i."""
     return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 

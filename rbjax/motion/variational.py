@@ -82,7 +82,8 @@ class VariationalMidpoint:
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
-            """Compute R(w), F and x' at the midpoint."""
+            """Compute the residual R(w), the force F and the rate x' at the midpoint, for a mean
+            velocity w."""
             at = State(field.retract(q0, half * w), w, x)
             tau, f_ext, rate = field.forces(t + half, at, u)
             p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
@@ -156,7 +157,7 @@ def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Ar
 
 
 def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax.Array:
-    """Compute F = p' + w x p on attitudes, p' elsewhere."""
+    """Compute the force F at the midpoint: p' + w x p on attitudes, p' elsewhere."""
     return _on_attitudes(top, rate, lambda w, p, rate: rate + w.cross(p), w, p, rate)
 
 

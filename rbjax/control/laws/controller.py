@@ -209,7 +209,8 @@ def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> j
 
 
 def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:
-    """Return the actuator forces (nv,) for the accelerations a: M a + b - other forces."""
+    """Return the actuator forces (nv,) for the accelerations a, by inverse dynamics: M a + b -
+    other forces."""
     return inverse_dynamics(model, state.q, state.v, a) - applied_forces(model, state, None)
 
 

@@ -100,7 +100,8 @@ def _margins(
 
 
 def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
-    """Return frequencies in rad/s (points,)."""
+    """Return a logarithmic grid of frequencies (points,), rad/s, around the rates of A and of the
+    closed loop."""
     if dt is not None:  # up to the Nyquist frequency
         return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
     fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))

@@ -75,7 +75,9 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """Compute X, U and 1 / D of each link as an array (19, nv), with S appended if it varies.
+    """Compute the pose X and the ABA factors U and 1 / D of each link as an array (19, nv).
+
+    The axis S is appended if it varies.
 
     They are in the axes of the link, in which float32 keeps more digits than in world axes.
     """

@@ -99,11 +99,11 @@ class Coriolis(NamedTuple):
         return cls(Mat3.zero(), Vec3.zero())
 
     def __call__(self, w: Vec3) -> Force:
-        """Compute the product B [w; u], which does not depend on u."""
+        """Compute the force B [w; u] of a motion [w; u]. It does not depend on u."""
         return Force(self.K @ w, w.cross(self.f))
 
     def transposed(self, S: Motion) -> Vec3:
-        """Return the angular part of B^T S. Its linear part is zero."""
+        """Return the angular part of B^T S for a motion S. The linear part is zero."""
         return self.K.T @ S.ang + self.f.cross(S.lin)
 
 

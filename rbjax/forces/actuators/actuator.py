@@ -97,7 +97,8 @@ class ForceLaw(Record):
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """Compute the derivatives of the force by l and l' for an implicit step; 0 by default."""
+        """Compute the derivatives of the force by length l and speed l', for an implicit step; 0 by
+        default."""
         return 0.0, 0.0
 
 

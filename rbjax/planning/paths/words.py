@@ -49,7 +49,7 @@ class Word(NamedTuple):
 
 
 def _polar(x, y):
-    """Compute r and theta of a point, with derivatives of zero at the origin."""
+    """Compute the polar coordinates (r, theta) of a point, with zero derivatives at the origin."""
     square = x * x + y * y
     origin = square == 0
     r = jnp.where(origin, 0.0, jnp.sqrt(jnp.where(origin, 1.0, square)))

@@ -242,7 +242,7 @@ class _AStar(WaveSearch):
         """Prepare a search.
 
         ends: (2, 3), the poses of the root and of the target.
-        side: the side of a cell, m. weight: factor of the lower bound in f.
+        side: the side of a cell, m. weight: factor of the lower bound in the priority f of a node.
         ending: the condition or last motion that ends the search.
         """
         spacing = float(distances.resolution) / 2
@@ -289,8 +289,10 @@ class _AStar(WaveSearch):
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """Remove and return nodes of least f that represent their cells, and their last interval of
-        f."""
+        """Remove and return the nodes of lowest priority value f that represent their cells.
+
+        Also return the last interval of f that they are in.
+        """
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):

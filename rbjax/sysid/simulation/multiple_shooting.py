@@ -152,7 +152,7 @@ class MultipleShooting:
         return np.concatenate([np.ravel(r), self.continuity_weight * np.ravel(gaps)])
 
     def cost(self, x: np.ndarray) -> float:
-        """Compute |r|^2, including the weighted gaps."""
+        """Compute the sum of squared residuals, including the weighted gaps."""
         return sum_of_squares(self.residuals(x))
 
     def triangle(self, x: np.ndarray) -> np.ndarray:

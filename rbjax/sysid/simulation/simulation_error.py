@@ -206,7 +206,7 @@ class SimulationError:
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def cost(self, x: np.ndarray) -> float:
-        """Compute |r|^2, including the normal priors."""
+        """Compute the sum of squared residuals, including the normal priors."""
         priors = self.unknowns.prior_rows(x[: self.shared])[:, -1]
         return sum_of_squares(self.residuals(x)) + float(priors @ priors)
 
@@ -227,7 +227,8 @@ class SimulationError:
         return self._last[1]
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute r (runs, rows) and J (runs, rows, n + l), with the sensors sorted by name."""
+        """Compute the residuals r (runs, rows) and the Jacobian J (runs, rows, n + l), by sorted
+        sensors."""
         r, J = self._seeded_slopes(x)
         coloured = self.colouring
         return r, J if coloured is None else coloured.expand(J, self._times)
@@ -326,7 +327,7 @@ class SimulationError:
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Expand rows [J r] of run k from its own n + l columns to all columns of x."""
+        """Expand rows [J r] of run k from its n unknowns and l corrections to all columns of x."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]

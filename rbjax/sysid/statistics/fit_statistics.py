@@ -145,7 +145,8 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:
-    """Compute the mean of all entries, at least 1e-3, since a mean of 0 makes H singular."""
+    """Compute the mean of all entries, at least 1e-3, because a mean of 0 makes the Hessian
+    singular."""
     count = sum(len(x) for x in parts)
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 

@@ -90,7 +90,7 @@ class Combinations:
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """The matrix B (r, n) with beta = B pi."""
+        """The matrix B (r, n) that maps the parameters to the base parameters, beta = B pi."""
         B = np.zeros((self.rank, len(self.names)))
         B[np.arange(self.rank), list(self.kept)] = 1.0
         B[:, list(self.dropped)] = self.K

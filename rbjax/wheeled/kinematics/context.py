@@ -82,7 +82,7 @@ def angles_of(now: RobotContext) -> list[Lane]:
 
 
 def steering_rates(now: RobotContext) -> list[Lane]:
-    """Compute the rate b' of each steering."""
+    """Compute the rate of each steering angle, rad/s."""
     n = now.n
     out = []
     first = len(n.robot.drives)

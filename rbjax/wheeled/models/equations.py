@@ -52,7 +52,7 @@ class Equations(NamedTuple):
 
     @property
     def accelerations(self) -> list[Lane]:
-        """The solution nu' of M nu' = f."""
+        """The accelerations nu', the solution of M nu' = f."""
         return ldlt(self.M).solve(self.f)
 
     def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:

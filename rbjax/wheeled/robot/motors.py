@@ -191,7 +191,7 @@ class DCMotor(Motor):
 
     @property
     def _constant(self) -> Lane:
-        """The torque constant at the shaft, n K."""
+        """The torque constant at the shaft: gear ratio times motor constant, N m/A."""
         return self.gear * self.torque_constant
 
     def current(self, u: Lane, speed: Lane) -> Lane:

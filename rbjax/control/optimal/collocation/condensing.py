@@ -64,15 +64,16 @@ def tableau_arrays(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, ja
 
 
 def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
-    """Return sum_j w_ij K_j, or sum_j w_j K_j."""
+    """Return the weighted sums sum_j w_ij K_j of the rates K_j, for weights (s, s) or (s,)."""
     return (weights[..., None] * rates).sum(-2)
 
 
 def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return f (n,), running cost () and constraint rows (c,) at the state knot (+) xi. where: k +
-    c_i, the fractional index of the stage."""
+    """Return the state rate f (n,), running cost () and constraint rows (c,) at the state knot (+)
+    xi. where: k + c_i, the fractional index of the stage.
+    """
     system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.parameters)
@@ -81,14 +82,14 @@ def at_stage(
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
-    """Return x (+) h sum_i b_i K_i."""
+    """Return the knot after a step: x (+) h sum_i b_i K_i, from the rates K_i of the stages."""
     system, dt = problem.at(knot.parameters)
     _, b, _ = tableau_arrays(table, rates.dtype)
     return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
 
 
 def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
-    """Evaluate the stages of step k."""
+    """Evaluate rates, costs and constraint rows at the stages of step k."""
     a, b, c = tableau_arrays(table, inner.rates.dtype)
     _, dt = problem.at(knot.parameters)
     xi = dt * combine(a, inner.rates)

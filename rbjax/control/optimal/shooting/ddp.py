@@ -107,7 +107,7 @@ def forward_pass(
 def _rollouts(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Rollout:
-    """Roll out steps of all lengths."""
+    """Roll out trial steps of all step lengths."""
     lengths = jnp.asarray(LENGTHS, now.ctrls.dtype)
     run = threads(functools.partial(forward_pass, problem))
     return jax.vmap(run, (None,) * 5 + (0,))(

@@ -91,7 +91,7 @@ def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
 def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
-    """Evaluate the trials of all lengths at all knots."""
+    """Evaluate trial steps of all step lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
