@@ -98,8 +98,8 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
-        now = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
-        return stack_lanes(vehicle.accelerations(now), q.dtype)
+        context = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
+        return stack_lanes(vehicle.accelerations(context), q.dtype)
 
     none = jnp.zeros(drives, q.dtype)
     most = limits.torques(vehicle).astype(q.dtype)
@@ -194,8 +194,8 @@ def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Arra
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 
     def slope(q, v, bend):
-        now = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
-        return stack_lanes(vehicle.coordinate_rates(now), q.dtype)
+        context = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
+        return stack_lanes(vehicle.coordinate_rates(context), q.dtype)
 
     def over(q, step):
         size, turn, bend, nu0, nu1 = step

@@ -89,8 +89,8 @@ class Shooting(NamedTuple):
         return State(jnp.zeros(self.vehicle.nq, z.dtype).at[:m].set(z[:m]), z[m:])
 
     def rates(self, z: jax.Array, u: jax.Array) -> jax.Array:
-        now = self.vehicle.context(self.state(z), u)
-        q, v, _ = self.vehicle.rates(now)
+        context = self.vehicle.context(self.state(z), u)
+        q, v, _ = self.vehicle.rates(context)
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
@@ -134,8 +134,8 @@ class Shooting(NamedTuple):
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Compute the twist (3,) of the chassis."""
-        now = self.vehicle.context(self.state(z))
-        return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
+        context = self.vehicle.context(self.state(z))
+        return stack_lanes(self.vehicle.full_velocities(context)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
         """Compute the clearance of each disc, m."""
