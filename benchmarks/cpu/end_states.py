@@ -39,10 +39,8 @@ def row(method: str, count: int) -> dict[str, Any]:
     random = [2 * np.random.default_rng(k).normal(size=(KNOTS, 1)) for k in range(1, count)]
     guesses = jnp.asarray(np.stack([np.zeros((KNOTS, 1)), *random]), model.gravity.dtype)
 
-    def one(ctrls: jax.Array) -> tuple:
-        s = solve(
-            problem, model.keyframe("down"), method=method, ctrls=ctrls, iterations=ITERATIONS
-        )
+    def one(ctrl: jax.Array) -> tuple:
+        s = solve(problem, model.keyframe("down"), method=method, ctrl=ctrl, iterations=ITERATIONS)
         return s.status, s.iterations, s.cost, s.violation
 
     begin = time.perf_counter()

@@ -55,7 +55,7 @@ MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost
 
 
 class SearchState(NamedTuple):
-    """The state of a search between two iterations. Each field is ()."""
+    """The state of a search between two iterations: costs, tolerances, counters, each ()."""
 
     feasible: jax.Array  # true if the motion has no gaps
     reg: jax.Array  # the regularisation
@@ -73,7 +73,7 @@ class SearchState(NamedTuple):
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration that determine its decision."""
+    """Cost, gap, violation and slopes of an iteration, and the costs of its trial steps."""
 
     cost: jax.Array  # (), of the present motion
     gap: jax.Array  # ()
@@ -88,7 +88,7 @@ class IterationValues(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The decision of an iteration. Each field is ()."""
+    """The outcome of an iteration: the accepted trial step and the next state of the search."""
 
     search: SearchState  # the state after the iteration
     best: jax.Array  # the index of a trial
@@ -204,7 +204,11 @@ def renews(now: SearchState, violation: jax.Array, satisfied: jax.Array) -> jax.
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Return whether the expected decrease is small and, with regularisation, the gradient too."""
+    """Return whether the search has converged, by the expected decrease and the gradient.
+
+    The gradient must be small only if the control Hessians are regularised.
+    share: factor of the tolerance, the scale of the cost.
+    """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
 
@@ -228,7 +232,7 @@ def gap_tolerance(dtype: Any) -> float:
 class Iterate(NamedTuple):
     """The iterate of a search.
 
-    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    knots, ctrl: the motion, (N + 1, ...) and (N, m).
     multipliers: of the constraints.
     K: gains, (N, m, n).
     search: the state of the search.
@@ -236,7 +240,7 @@ class Iterate(NamedTuple):
     """
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     multipliers: Multipliers
     K: jax.Array
     search: SearchState
@@ -267,11 +271,11 @@ def search(
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # L then has the augmented gradient
-        path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
-    at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
+        path, end = updated_multipliers(problem, last.knots, last.ctrl, last.multipliers)
+    at, cost = last.search, motion_cost(problem, last.knots, last.ctrl)
     return SearchResult(
-        last.knots, last.ctrls, cost, at.status, at.iterations, at.expected_decrease,
-        largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.knots, last.ctrl, cost, at.status, at.iterations, at.expected_decrease,
+        largest_gap(problem, start, last.knots, last.ctrl), at.violation, last.costs,
         last.K, path, end, penalty=last.multipliers.penalty,
     )  # fmt: skip
 
@@ -314,17 +318,15 @@ def iterate(
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short, so k obeys all bounds
         boxed = exact and policy.closes_gaps
-        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrl, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
-        full = plain(
-            add_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
-        )
+        full = plain(add_curvature(problem, now.knots, now.ctrl, now.multipliers, found), gaps, reg)
         return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
 
     def turn(now: Iterate) -> Iterate:
         at = now.search
-        found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        found = expand(problem, start, now.knots, now.ctrl, now.multipliers)
         gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
         gains = gains_at(now, found, gaps)
         trials = policy.trials(problem, now, found, gaps, gains)
