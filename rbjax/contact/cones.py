@@ -88,7 +88,7 @@ def _elliptic(r: Sequence[Lane], D: Lane, friction: Sequence[Lane], impratio: La
     slides = square > TINY
     T = jnp.where(slides, jnp.sqrt(jnp.where(slides, square, 1.0)), 0.0)
     inverse_T = jnp.where(slides, 1.0 / jnp.where(slides, T, 1.0), 0.0)
-    free = N >= mu * T
+    free = mu * T <= N
     sticks = mu * N + T <= 0
 
     def zone(middle: Lane, sticking: Lane) -> Lane:

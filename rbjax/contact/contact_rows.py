@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.contact.cones import Cone
-from rbjax.contact.impedance import impedance, reference, regularisation
 from rbjax.contact.narrow_phase import COUNTS, PAIRS
 from rbjax.contact.shapes import Contact, Shape, contact_frame
+from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
@@ -179,7 +179,7 @@ class ContactSet:
         d, weight, mu = impedance(r, solimp), self._lane(self.weights, pair), self.cone(row).mu
 
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
-            return reference(r, v, d, solref, solimp, options.dt, options.refsafe)
+            return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
 
         out, sliding = [towards(r, v[0], solref)], solref
         if mu and not options.elliptic:
