@@ -15,6 +15,7 @@ from rbjax.loading.mjcf.fields import Off, is_on
 from rbjax.model import SolverParameters
 
 _OVERRIDE = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+_SLIDES = 2  # body_simple of a body that only slides along its axes
 _CONES = {int(mujoco.mjtCone.mjCONE_PYRAMIDAL): "pyramidal"}
 
 
@@ -37,6 +38,7 @@ def solver_parameters(m: mujoco.MjModel, array: Callable) -> SolverParameters:
         refsafe=is_on(m, Off.mjDSBL_REFSAFE),
         limited=tuple(np.flatnonzero(limited).tolist()),
         rubbing=tuple(np.flatnonzero(rubbing).tolist()),
+        translating=tuple(np.flatnonzero(m.body_simple[1:] == _SLIDES).tolist()),
     )
 
 
