@@ -1,8 +1,9 @@
 """Compile time of forward dynamics on the CPU, ours over MJX's: trace, lower and compile.
 
-`python -m benchmarks.cpu.compile [ROBOT ...] [--limit SECONDS]`. f32, batch 1,024, default flags,
-the model is an argument in both; one result file a robot. MJX takes minutes a robot, so each engine
-runs in its own process, which ends after `--limit` seconds.
+`python -m benchmarks.cpu.compile [ROBOT ...] [--full] [--limit SECONDS]`. By default the first
+robot, --full all. f32, batch 1,024, default flags, the model is an argument in both; one result
+file a robot. MJX takes minutes a robot, so each engine runs in its own process, which ends after
+`--limit` seconds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import mujoco
 from mujoco import mjx
 
 import rbjax as rb
+from benchmarks.shared.progress import add_full, progress
 from benchmarks.shared.robots import ALL, compiled, ours, states
 from benchmarks.shared.timing import markdown_table, save
 
@@ -65,11 +67,12 @@ def limited(engine: str, name: str, limit: float) -> float | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robots", nargs="*", default=list(ALL))
+    parser.add_argument("robots", nargs="*", help="if left out, those of the size")
     parser.add_argument("--limit", type=float, default=1800.0)
+    add_full(parser, ", ".join(ALL), next(iter(ALL)))
     opts = parser.parse_args()
     rows = []
-    for name in opts.robots:
+    for name in progress(opts.robots or [*ALL][: None if opts.full else 1]):
         row: dict[str, Any] = {"robot": name, "nv": compiled(name).nv}
         mine = limited("rbjax", name, opts.limit)
         peer = limited("MJX", name, opts.limit)
