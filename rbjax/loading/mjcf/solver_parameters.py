@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -42,10 +42,13 @@ def solver_parameters(m: mujoco.MjModel, array: Callable) -> SolverParameters:
     )
 
 
-def pair_fields(m: mujoco.MjModel, array: Callable) -> dict[str, Any]:
+def pair_fields(
+    m: mujoco.MjModel, array: Callable, kept: Sequence[int] | None = None
+) -> dict[str, Any]:
     """Read the fields of `Geoms` about pairs.
 
-    If the file overrides the parameters of all contacts, all pairs are explicit.
+    If the file overrides the parameters of all contacts, all pairs are explicit. `kept` are the
+    positions in `contact_pairs` of the pairs to read; None for all.
     """
     pairs, n = contact_pairs(m), m.npair
     if not pairs:
@@ -70,5 +73,8 @@ def pair_fields(m: mujoco.MjModel, array: Callable) -> dict[str, Any]:
         "friction": friction, "solref": solref, "solreffriction": tangential, "solimp": solimp,
         "margin": margin, "gap": gap,
     }  # fmt: skip
-    leaves: dict[str, jax.Array] = {f"pair_{name}": array(x) for name, x in fields.items()}
-    return leaves | {"pairs": pairs, "pair_condim": tuple(condim)}
+    kept = range(len(pairs)) if kept is None else kept
+    own = [i for i in kept if i < n]
+    leaves: dict[str, jax.Array] = {f"pair_{name}": array(x[own]) for name, x in fields.items()}
+    chosen = tuple(pairs[i] for i in kept)
+    return leaves | {"pairs": chosen, "pair_condim": tuple(condim[i] for i in own)}
