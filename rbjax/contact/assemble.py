@@ -142,7 +142,7 @@ class Assembly:
 
     @property
     def _options(self) -> Options:
-        own = self.model.solver
+        own: Any = self.model.solver
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
         return Options(own.cone == "elliptic", impratio, self.model.timestep, own.refsafe)
 
@@ -178,8 +178,8 @@ class Assembly:
     ) -> tuple[Lane, Lane]:
         """Compute inverse regularization and reference acceleration of a row on a dof."""
         d = impedance(r, solimp)
-        dt, refsafe = self.model.timestep, self.model.solver.refsafe
-        a = reference(r, rate, d, solref, solimp, dt, refsafe=refsafe)
+        shared = self._options
+        a = reference(r, rate, d, solref, solimp, shared.dt, refsafe=shared.refsafe)
         return 1.0 / regularisation(d, lane(self._weights[1], dof)), a
 
 

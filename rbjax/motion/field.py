@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import jax
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
-from rbjax.contact.laws import law_of
+from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
@@ -177,8 +177,8 @@ def with_contact(where: str, model: Model, dynamics: Any, contact: Any) -> Any:
 def dynamics_of(
     where: str, model: Model, dynamics: Any, constraints: Any, *, steps: bool = False
 ) -> Any:
-    """Return the dynamics of a motion: the given one, the contact law or a formulation of the model,
-    or free motion.
+    """Return the dynamics of a motion: the given one, the contact law of the model, a formulation
+    of its constraints, or free motion.
 
     steps: whether the motion has fixed steps, which `VelocityDynamics` require.
 
@@ -187,7 +187,7 @@ def dynamics_of(
     """
     check_model(where, model)
     if dynamics is free_motion:
-        law = getattr(model, "contact", None)
+        law = model.contact
         if law is not None:
             return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics

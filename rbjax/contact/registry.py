@@ -28,7 +28,7 @@ def law_of(where: str, model: Model, contact: Any) -> Any:
     Raises:
         InputError: no such law, or the law does not suit the model.
     """
-    law = _LAWS.get(contact) if isinstance(contact, str) else contact
+    law: Any = _LAWS.get(contact) if isinstance(contact, str) else contact
     if not hasattr(law, "check"):
         raise InputError(
             f"{where}: contact is {contact!r}, expected one of {list(_LAWS)}, "
