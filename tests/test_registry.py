@@ -31,6 +31,7 @@ ELSEWHERE = {
     "rollout",
     "scenes",
     "simulate",
+    "tendon_reach",
     "threads",
     "write_back",
     "write_mjcf",
@@ -110,6 +111,8 @@ REGISTRY = {
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
     "step": Entry(_step, ("q", "v", "ctrl")),
+    "tendon_jacobian": Entry(rb.tendon_jacobian, ("q",), robot="tendons"),
+    "tendon_lengths": Entry(rb.tendon_lengths, ("q",), robot="tendons"),
 }
 
 MODEL = robot("small", "rolled").model

@@ -36,6 +36,7 @@ from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
 from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.tendons import tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -204,6 +205,7 @@ def from_compiled(
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array),
+        tendons=tendons_of(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),

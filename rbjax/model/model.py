@@ -24,6 +24,7 @@ from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.record import EXECUTION, Execution
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
+from rbjax.model.tendons import Tendons
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 
@@ -160,6 +161,7 @@ class Model(Record):
     #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
     geoms: Geoms | None = None  # None if the model is not from a file
+    tendons: Tendons | None = None  # None if the model has no tendons
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -244,6 +246,10 @@ class Model(Record):
     def keyframe_names(self) -> tuple[str, ...]:
         return self.topology.keyframe_names
 
+    @property
+    def tendon_names(self) -> tuple[str, ...]:
+        return () if self.tendons is None else self.tendons.names
+
     def body(self, name: str | int) -> int:
         """Return the index of a body from its name. An index is checked and returned."""
         return _index("body", name, self.body_names)
@@ -276,6 +282,10 @@ class Model(Record):
     def site(self, name: str | int) -> int:
         """Return the index of a site from its name."""
         return _index("site", name, self.site_names)
+
+    def tendon(self, name: str | int) -> int:
+        """Return the index of a tendon from its name."""
+        return _index("tendon", name, self.tendon_names)
 
     def geom(self, name: str | int) -> int:
         """Return the index of a geom from its name."""

@@ -20,9 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.forces.actuators.activation import Activation, Muscle, clip
-from rbjax.forces.actuators.transmissions import JointAxis, Reach, SiteWrench, Transmission
+from rbjax.forces.actuators.transmissions import (
+    JointAxis,
+    SiteWrench,
+    TendonLength,
+    Transmission,
+)
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.reach import Reach
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
@@ -126,9 +132,18 @@ class Actuator(Element):
     def loads(self, now: Context) -> Loads:
         seen = self._signals(now)
         limits = table(self.forcerange, seen.dtype)[None]
-        force = jnp.asarray(self.law.force(seen), seen.dtype)
+        force = mul(self.force(now), now.scales.get(self.tendon, 1.0))
         force = add(clip(force, limits, 0), self.law.friction(seen))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
+
+    @property
+    def tendon(self) -> int:
+        """The tendon that the actuator pulls, or -1."""
+        return self.transmission.tendon if isinstance(self.transmission, TendonLength) else -1
+
+    def force(self, now: Context) -> Lane:
+        """Compute the force of the law, before the limits of its range."""
+        return jnp.asarray(self.law.force(self._signals(now)), now.q.dtype)
 
     def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
         """Compute the implicit stiffness of servos and dampers on joints other than attitudes. It
