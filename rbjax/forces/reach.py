@@ -35,9 +35,9 @@ class Reach(NamedTuple):
     length: Lane
     arms: Arms
 
-    def speed(self, now: Context) -> Lane:
+    def speed(self, context: Context) -> Lane:
         """Compute the rate l' of the length."""
-        return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
+        return total(mul(arm, context.v[n]) for n, arm in self.arms.items())
 
     def scaled(self, gear: Lane) -> Reach:
         """Multiply the length and the moment arms by a gear ratio."""

@@ -39,9 +39,9 @@ class Tendons(Record):
         forcerange: (nt, 2) N, limits of the sum of the actuator forces; infinite for none.
         frictionloss: (nt,) N.
         armature: (nt,) kg, the inertia of the change of length.
-        margin: (nt,) m, distance before a limit at which it begins to act.
-        solref_limit, solimp_limit: (nt, 2) and (nt, 5), softness of the limits, as in MuJoCo.
-        solref_friction, solimp_friction: the same of the friction loss.
+        limit_margin: (nt,) m, distance before a limit at which it begins to act.
+        limit_solref, limit_solimp: (nt, 2) and (nt, 5), softness of the limits, as in MuJoCo.
+        friction_solref, friction_solimp: the same of the friction loss.
         length0: (nt,) m, length in the file's configuration, from which equalities are measured.
         names: of each tendon; static.
         paths: the waypoints of each tendon; static.
@@ -56,11 +56,11 @@ class Tendons(Record):
     forcerange: jax.Array
     frictionloss: jax.Array
     armature: jax.Array
-    margin: jax.Array
-    solref_limit: jax.Array
-    solimp_limit: jax.Array
-    solref_friction: jax.Array
-    solimp_friction: jax.Array
+    limit_margin: jax.Array
+    limit_solref: jax.Array
+    limit_solimp: jax.Array
+    friction_solref: jax.Array
+    friction_solimp: jax.Array
     length0: jax.Array
     names: tuple[str, ...] = eqx.field(static=True)
     paths: tuple[tuple[Waypoint, ...], ...] = eqx.field(static=True)

@@ -33,9 +33,9 @@ def ours(model: rb.Model, q: Array, v: Array) -> tuple[Array, ...]:
     @jax.jit
     @jax.vmap
     def f(q, v):
-        now = Context.of(model, 0.0, rb.State(q, v), None)
-        reaches = [rb.forces.tendon_reach(now, name) for name in model.tendon_names]
-        speeds = jnp.stack([jnp.asarray(x.speed(now), q.dtype) for x in reaches])
+        context = Context.of(model, 0.0, rb.State(q, v), None)
+        reaches = [rb.forces.tendon_reach(context, name) for name in model.tendon_names]
+        speeds = jnp.stack([jnp.asarray(x.speed(context), q.dtype) for x in reaches])
         return rb.tendon_lengths(model, q), speeds, rb.tendon_jacobian(model, q)
 
     return tuple(map(np.asarray, f(q, v)))

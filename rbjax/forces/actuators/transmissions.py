@@ -29,7 +29,7 @@ class Transmission(Record):
     """Base class of a map from a configuration to a length and moment arms."""
 
     @abc.abstractmethod
-    def reach(self, now: Context) -> Reach:
+    def reach(self, context: Context) -> Reach:
         """Compute the length and the moment arms at an instant."""
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
@@ -49,8 +49,8 @@ class JointAxis(Transmission):
     joint: int = eqx.field(static=True)
     in_parent: bool = eqx.field(static=True, default=False)
 
-    def reach(self, now: Context) -> Reach:
-        return joint_reach(now, self.joint, numbers(self.gear, now.q.dtype), self.in_parent)
+    def reach(self, context: Context) -> Reach:
+        return joint_reach(context, self.joint, numbers(self.gear, context.q.dtype), self.in_parent)
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[:3]).norm()
@@ -62,9 +62,9 @@ class SiteWrench(Transmission):
     gear: jax.Array
     site: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        force, torque = split_gear(numbers(self.gear, now.q.dtype))
-        return Reach(0.0, now.site(self.site).arms(Force(torque, force)))
+    def reach(self, context: Context) -> Reach:
+        force, torque = split_gear(numbers(self.gear, context.q.dtype))
+        return Reach(0.0, context.site(self.site).arms(Force(torque, force)))
 
 
 class SitePose(Transmission):
@@ -74,14 +74,14 @@ class SitePose(Transmission):
     site: int = eqx.field(static=True)
     reference: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        site, base = now.site(self.site), now.site(self.reference)
-        force, torque = split_gear(numbers(self.gear, now.q.dtype))
+    def reach(self, context: Context) -> Reach:
+        site, base = context.site(self.site), context.site(self.reference)
+        force, torque = split_gear(numbers(self.gear, context.q.dtype))
         length: Lane = 0.0
         if not all(map(is_zero, force)):
             length = force.dot(base.rotation.T @ (site.position - base.position))
         if not all(map(is_zero, torque)):
-            turned = quaternion.log_lanes(relative_quaternion(site, base, now.q.dtype))
+            turned = quaternion.log_lanes(relative_quaternion(site, base, context.q.dtype))
             length = add(length, torque.dot(Vec3(*turned)))
         force, torque = base.rotation @ force, base.rotation @ torque
         return Reach(length, arms_between(site, base, force, torque))
@@ -100,9 +100,9 @@ class SliderCrank(Transmission):
     crank: int = eqx.field(static=True)
     slider: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        dtype = now.q.dtype
-        crank, slider = now.site(self.crank), now.site(self.slider)
+    def reach(self, context: Context) -> Reach:
+        dtype = context.q.dtype
+        crank, slider = context.site(self.crank), context.site(self.slider)
         rod = scalar(self.rod, dtype)
         axis, r = slider.rotation.columns[2], crank.position - slider.position
         along = axis.dot(r)
@@ -125,13 +125,13 @@ class TendonLength(Transmission):
     gear: jax.Array
     tendon: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        return tendon_reach(now, self.tendon).scaled(numbers(self.gear, now.q.dtype)[0])
+    def reach(self, context: Context) -> Reach:
+        return tendon_reach(context, self.tendon).scaled(numbers(self.gear, context.q.dtype)[0])
 
 
-def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
+def joint_reach(context: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
     """Compute the length and moment arms of a gear (6 lanes) on a joint."""
-    top, q = now.model.topology, now.q
+    top, q = context.model.topology, context.q
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
     if not top.joints[joint].quaternion:
         arms = gear[: top.joints[joint].nv]

@@ -14,8 +14,8 @@ from rbjax.model import Model, State
 
 
 def _reaches(model: Model, q: jax.Array) -> list[Reach]:
-    now = Context.of(model, 0.0, State(q, jnp.zeros(model.nv, q.dtype)), None)
-    return [tendon_reach(now, i) for i in range(len(model.tendon_names))]
+    context = Context.of(model, 0.0, State(q, jnp.zeros(model.nv, q.dtype)), None)
+    return [tendon_reach(context, i) for i in range(len(model.tendon_names))]
 
 
 @algorithm("q")

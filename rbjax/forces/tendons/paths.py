@@ -54,40 +54,40 @@ def _key(tendon: int) -> tuple[str, int]:
     return "tendon", tendon
 
 
-def tendon_reach(now: Context, tendon: str | int) -> Reach:
+def tendon_reach(context: Context, tendon: str | int) -> Reach:
     """Compute the length of a tendon and its moment arms, once per context.
 
     Args:
-        now: context.
+        context: context.
         tendon: name or index.
 
     Returns:
         `Reach(length, arms)`: m, or the unit of the joint coordinates of a fixed tendon; and the
-        derivative of the length by dof. `speed(now)` is its rate.
+        derivative of the length by dof. `speed(context)` is its rate.
     """
-    i = now.model.tendon(tendon)
-    return now.once(_key(i), lambda: _reach(now, i))
+    i = context.model.tendon(tendon)
+    return context.once(_key(i), lambda: _reach(context, i))
 
 
-def _reach(now: Context, i: int) -> Reach:
-    tendons: Any = now.model.tendons
+def _reach(context: Context, i: int) -> Reach:
+    tendons: Any = context.model.tendons
     path, first = tendons.paths[i], tendons.first_coefficient(i)
-    coefficients = table(tendons.coefficients, now.q.dtype)
+    coefficients = table(tendons.coefficients, context.q.dtype)
     if path and path[0].kind == "joint":
-        return _fixed(now, path, [lane(coefficients, first + k) for k in range(len(path))])
+        return _fixed(context, path, [lane(coefficients, first + k) for k in range(len(path))])
     length: Lane = 0.0
     pieces: list[Piece] = []
     for one in segments(path, first):
         share = 1.0 if one.pulley < 0 else 1 / lane(coefficients, one.pulley)
-        own, found = _between_sites(now, one)
+        own, found = _between_sites(context, one)
         length = add(length, mul(share, own))
         pieces += [x._replace(pull=x.pull * share) for x in found]
-    return Reach(length, arms_of_pieces(now.links, pieces))
+    return Reach(length, arms_of_pieces(context.links, pieces))
 
 
-def _fixed(now: Context, path: Sequence[Waypoint], coefficients: Sequence[Lane]) -> Reach:
+def _fixed(context: Context, path: Sequence[Waypoint], coefficients: Sequence[Lane]) -> Reach:
     """Compute l = sum of c_k q_k."""
-    top = now.model.topology
+    top = context.model.topology
     length: Lane = 0.0
     arms: Arms = {}
     for c, j in zip(coefficients, (x.index for x in path), strict=True):
@@ -96,27 +96,27 @@ def _fixed(now: Context, path: Sequence[Waypoint], coefficients: Sequence[Lane])
                 f"a fixed tendon has joint {top.joint_names[j]!r}, a {top.joint_kinds[j]}, "
                 "expected joints of one coordinate, such as hinges and slides"
             )
-        length = add(length, mul(c, now.q[top.joint_q[j]]))
+        length = add(length, mul(c, context.q[top.joint_q[j]]))
         arms = add_arms(arms, {top.joint_v[j]: c})
     return Reach(length, arms)
 
 
-def _between_sites(now: Context, one: Segment) -> tuple[Lane, list[Piece]]:
+def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     """Compute the length and the straight pieces between two sites."""
-    start, end = now.site(one.start), now.site(one.end)
+    start, end = context.site(one.start), context.site(one.end)
     if one.geom is None:
         line = _offset(start, end)
-        length, inverse = distance(line, now.q.dtype)
+        length, inverse = distance(line, context.q.dtype)
         return length, [Piece(start.link, end.link, start.position, line * inverse)]
-    g, geoms = one.geom.index, now.model.geoms
+    g, geoms = one.geom.index, context.model.geoms
     if geoms is None:
         raise InputError("a tendon wraps around a geom, but model.geoms is None; keep the geoms")
-    geom = _geom_frame(now, g)
+    geom = _geom_frame(context, g)
     centre = geom.position
-    kind, radius = geoms.types[g], lane(table(geoms.size, now.q.dtype)[:, 0], g)
+    kind, radius = geoms.types[g], lane(table(geoms.size, context.q.dtype)[:, 0], g)
     side, inside = None, False
     if one.geom.side >= 0:
-        other = now.site(one.geom.side)
+        other = context.site(one.geom.side)
         side, inside = other.position - centre, is_inside(_offset(geom, other), radius)
     path = wrapped(
         start.position - centre,
@@ -125,20 +125,20 @@ def _between_sites(now: Context, one: Segment) -> tuple[Lane, list[Piece]]:
         axis=geom.rotation.columns[2] if kind == "cylinder" else None,
         side=side,
         inside=inside,
-        dtype=now.q.dtype,
+        dtype=context.q.dtype,
     )
     first = Piece(start.link, geom.link, start.position, path.first)
     return path.length, [first, Piece(geom.link, end.link, end.position, path.last)]
 
 
-def _geom_frame(now: Context, geom: int) -> Frame:
-    geoms: Any = now.model.geoms
-    quat, p = (table(x, now.q.dtype) for x in (geoms.orientation, geoms.position))
+def _geom_frame(context: Context, geom: int) -> Frame:
+    geoms: Any = context.model.geoms
+    quat, p = (table(x, context.q.dtype) for x in (geoms.orientation, geoms.position))
     placed = Transform(
         quaternion_matrix(*(lane(quat[:, k], geom) for k in range(4))),
         Vec3(*(lane(p[:, k], geom) for k in range(3))),
     )
-    return now.body(geoms.bodies[geom]).then(placed)
+    return context.body(geoms.bodies[geom]).then(placed)
 
 
 def _offset(a: Frame, b: Frame) -> Vec3:

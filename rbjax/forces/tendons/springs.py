@@ -27,28 +27,28 @@ class TendonSprings(Element):
     """The springs and dampers of `model.tendons`. Tendons without stiffness and damping cost
     nothing if their parameters are compile-time constants."""
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         out = Loads()
-        for i, k, d in _springs(now):
-            direct = _point_spring(now.model, i)
+        for i, k, d in _springs(context):
+            direct = _point_spring(context.model, i)
             if direct is not None:
-                out = out + direct.loads(now)
+                out = out + direct.loads(context)
                 continue
-            reach = tendon_reach(now, i)
+            reach = tendon_reach(context, i)
             force: Lane = 0.0
             if not all(map(is_zero, k)):
-                x = _stretch(now, i, reach.length)
+                x = _stretch(context, i, reach.length)
                 force = mul(add(k[0], polynomial(k[1:], x)), x)
             if not all(map(is_zero, d)):
-                rate = jnp.asarray(reach.speed(now), now.q.dtype)
+                rate = jnp.asarray(reach.speed(context), context.q.dtype)
                 size = jnp.abs(rate) if len(d) > 1 else 0.0
                 force = add(force, mul(add(d[0], polynomial(d[1:], size)), rate))
             out = out + Loads({n: neg(mul(arm, force)) for n, arm in reach.arms.items()})
         return out
 
-    def energy(self, now: Context) -> Lane:
+    def energy(self, context: Context) -> Lane:
         """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
-        return total(_energy(now, i, k) for i, k, _ in _springs(now))
+        return total(_energy(context, i, k) for i, k, _ in _springs(context))
 
 
 #: the element of all tendons of a model; it has no parameters of its own
@@ -60,10 +60,10 @@ def tendon_springs(model: Model) -> tuple[Element, ...]:
     return () if model.tendons is None else (TENDON_SPRINGS,)
 
 
-def _springs(now: Context) -> Iterator[tuple[int, list[Lane], list[Lane]]]:
+def _springs(context: Context) -> Iterator[tuple[int, list[Lane], list[Lane]]]:
     """Iterate over the tendons with stiffness or damping: index and polynomial coefficients."""
-    own: Any = now.model.tendons
-    dtype = now.q.dtype
+    own: Any = context.model.tendons
+    dtype = context.q.dtype
     stiffness, damping = table(own.stiffness, dtype), table(own.damping, dtype)
     for i in range(len(own.names)):
         k, d = coefficients(stiffness[i], dtype), coefficients(damping[i], dtype)
@@ -81,18 +81,18 @@ def _point_spring(model: Model, i: int) -> PointSpring | None:
     return PointSpring(a, b, own.stiffness[i], own.damping[i], own.springlength[i])
 
 
-def _energy(now: Context, i: int, k: list[Lane]) -> Lane:
-    direct = _point_spring(now.model, i)
+def _energy(context: Context, i: int, k: list[Lane]) -> Lane:
+    direct = _point_spring(context.model, i)
     if direct is not None:
-        return direct.energy(now)
+        return direct.energy(context)
     if all(map(is_zero, k)):
         return 0.0
-    x = _stretch(now, i, tendon_reach(now, i).length)
+    x = _stretch(context, i, tendon_reach(context, i).length)
     shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
     return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
 
-def _stretch(now: Context, i: int, length: Lane) -> Lane:
-    own: Any = now.model.tendons
-    length = jnp.asarray(length, now.q.dtype)
-    return stretch(length, 1.0, table(own.springlength, now.q.dtype)[i], now.q.dtype)[0]
+def _stretch(context: Context, i: int, length: Lane) -> Lane:
+    own: Any = context.model.tendons
+    length = jnp.asarray(length, context.q.dtype)
+    return stretch(length, 1.0, table(own.springlength, context.q.dtype)[i], context.q.dtype)[0]

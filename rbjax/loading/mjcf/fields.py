@@ -140,3 +140,10 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
         and gain in (Gain.FIXED, Gain.AFFINE, Gain.MUSCLE)
         and bias in (Bias.NONE, Bias.AFFINE, Bias.MUSCLE)
     )
+
+
+def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:
+    """Return solref with a time constant of two time steps or more, unless refsafe is off."""
+    if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
+        return np.array([max(solref[0], 2 * m.opt.timestep), solref[1]])
+    return solref

@@ -17,10 +17,10 @@ _KINDS = {Wrap.JOINT: "joint", Wrap.SITE: "site", Wrap.PULLEY: "pulley"}
 _TERMS = 3  # number of coefficients of MuJoCo's polynomials
 #: field -> attribute of the file, and its value if the file does not set it
 _SOFTNESS = {
-    "solref_limit": ("solreflimit", [0.02, 1.0]),
-    "solimp_limit": ("solimplimit", [0.9, 0.95, 0.001, 0.5, 2.0]),
-    "solref_friction": ("solreffriction", [0.02, 1.0]),
-    "solimp_friction": ("solimpfriction", [0.9, 0.95, 0.001, 0.5, 2.0]),
+    "limit_solref": ("solreflimit", [0.02, 1.0]),
+    "limit_solimp": ("solimplimit", [0.9, 0.95, 0.001, 0.5, 2.0]),
+    "friction_solref": ("solreffriction", [0.02, 1.0]),
+    "friction_solimp": ("solimpfriction", [0.9, 0.95, 0.001, 0.5, 2.0]),
 }
 
 
@@ -48,13 +48,13 @@ def tendons_of(m: mujoco.MjModel, array: Callable) -> Tendons | None:
         springlength=array(m.tendon_lengthspring),
         range=limits(limited, m.tendon_range),
         forcerange=limits(m.tendon_actfrclimited, m.tendon_actfrcrange),
-        frictionloss=array(m.tendon_frictionloss * is_on(m, Off.mjDSBL_FRICTIONLOSS)),
+        frictionloss=array(m.tendon_frictionloss),
         armature=array(tendon_armature(m)),
-        margin=array(m.tendon_margin),
-        solref_limit=array(m.tendon_solref_lim),
-        solimp_limit=array(m.tendon_solimp_lim),
-        solref_friction=array(m.tendon_solref_fri),
-        solimp_friction=array(m.tendon_solimp_fri),
+        limit_margin=array(m.tendon_margin),
+        limit_solref=array(m.tendon_solref_lim),
+        limit_solimp=array(m.tendon_solimp_lim),
+        friction_solref=array(m.tendon_solref_fri),
+        friction_solimp=array(m.tendon_solimp_fri),
         length0=array(m.tendon_length0),
         names=names_of(m, mujoco.mjtObj.mjOBJ_TENDON, m.ntendon),
         paths=tuple(_path(m, i) for i in range(m.ntendon)),
@@ -140,9 +140,9 @@ def _attributes(draft: Draft, own: Any, i: int) -> dict[str, str]:
         given = getattr(own, key)[i]
         if np.isfinite(given).any() and (key == "forcerange" or i in own.limited):
             out[attribute] = text(given)
-    for key in ("frictionloss", "armature", "margin"):
+    for key in ("frictionloss", "armature", "limit_margin"):
         if getattr(own, key)[i]:
-            out[key] = text(getattr(own, key)[i])
+            out[key.removeprefix("limit_")] = text(getattr(own, key)[i])
     for key, (attribute, usual) in _SOFTNESS.items():
         given = getattr(own, key)[i]
         if not np.array_equal(given, np.asarray(usual, given.dtype)):
