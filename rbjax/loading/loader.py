@@ -34,8 +34,9 @@ from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
-from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
-from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, reflected
+from rbjax.loading.mjcf.forces import force_elements
+from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -212,6 +213,7 @@ def from_compiled(
         dropped=tuple(dropped),
         forces=(*force_elements(m, limits=limits, friction=friction), *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        sensors=read_sensors(m)[0],
     )
 
 

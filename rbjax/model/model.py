@@ -160,6 +160,7 @@ class Model(Record):
     #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
     geoms: Geoms | None = None  # None if the model is not from a file
+    sensors: tuple = ()  # `rbjax.sensors.NamedSensor`, read by `rb.sense`
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
