@@ -360,7 +360,10 @@ class _NotItsOwn(Exception):
 
 
 class _Still:
-    """The pose and twist of one link, in place of `LinkMotion`."""
+    """The pose and twist of one link, with the interface of `LinkMotion`.
+
+    `on_each` uses it in its loop over the bodies.
+    """
 
     def __getattr__(self, name: str) -> Any:
         raise _NotItsOwn

@@ -127,7 +127,7 @@ class Element(Record):
 
     @property
     def after_actuators(self) -> bool:
-        """Whether `loads` reads `now.driven`, the generalized forces of all actuators."""
+        """Whether `loads` reads the context's `driven`, the forces of all actuators."""
         return False
 
     def loads(self, now: Context) -> Loads:

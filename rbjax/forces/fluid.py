@@ -95,7 +95,11 @@ class InertiaBoxFluid(Element):
         wind: Any = (0.0, 0.0, 0.0),
         bodies: Sequence[str] | None = None,
     ) -> InertiaBoxFluid:
-        """Make the fluid around bodies of a model, by name; None: around all that can move."""
+        """Make the fluid around bodies of a model.
+
+        bodies: names of the bodies; None for all bodies that can move.
+        density: kg/m^3. viscosity: Pa s. wind: (3,) velocity of the fluid in the world, m/s.
+        """
         top, dtype = model.topology, model.bodies.mass.dtype
         if bodies is None:
             some = [b for b, k in enumerate(top.body_links) if k != WORLD]
@@ -149,7 +153,7 @@ class InertiaBoxFluid(Element):
 
 
 class _Drag(NamedTuple):
-    """Drag coefficients: by velocity, and along each axis by its square."""
+    """Drag coefficients of inertia boxes: viscous, and quadratic along each axis."""
 
     viscous_force: Lane
     viscous_torque: Lane
@@ -158,7 +162,7 @@ class _Drag(NamedTuple):
 
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
-    """Compute the drag -(k + c_i |u_i|) u_i."""
+    """Compute the drag -(viscous + quadratic_i |u_i|) u_i along each axis i."""
     return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 

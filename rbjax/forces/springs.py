@@ -113,7 +113,7 @@ class PointSpring(Element):
         return a.push(force) + b.push(-force)
 
     def energy(self, now: Context) -> Lane:
-        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        """Compute the potential energy of the spring, J."""
         k = _coefficients(self.stiffness, now.q.dtype)
         if all(map(is_zero, k)):
             return 0.0
@@ -211,7 +211,7 @@ class Bushing(Element):
         return a.push(force, torque, at=b.position) + b.push(-force, -torque)
 
     def energy(self, now: Context) -> Lane:
-        """Compute the energy (d . K_l d + phi . K_a phi) / 2."""
+        """Compute the potential energy of the bushing, J."""
         a, b, k = self.a.frame(now), self.b.frame(now), numbers(self.stiffness, now.q.dtype)
         E = a.rotation.T
         way, turns = E @ (b.position - a.position), not all(map(is_zero, k[:3]))

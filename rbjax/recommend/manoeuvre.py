@@ -67,8 +67,11 @@ class Manoeuvre(HalvedSteps):
         return jnp.asarray(1 << k), jnp.asarray(self.dt(k))
 
     def motion(self, name: str) -> Callable[..., State]:
-        """Return the function (parts of a step of dt, step of a part) -> states at `times`. The
-        first state is the initial one."""
+        """Return the function (number of parts of each step dt, length of a part) -> states at
+        `times`.
+
+        The first state is the initial one.
+        """
         model, counts = self.models[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:

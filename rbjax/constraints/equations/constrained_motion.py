@@ -94,7 +94,10 @@ Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 def range_space_problem(
     d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
-    """Set up the range-space equations A dl = c - G M^-1 f, starting from the free acceleration."""
+    """Set up the range-space equations A dl = c - G a_f of the multipliers.
+
+    A = G M^-1 G^T is the Delassus matrix, and a_f the free acceleration, from which they start.
+    """
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(now: Context, rows: Sequence[Row]) -> Solve:
@@ -177,7 +180,7 @@ def constrained_motion(
 
 
 def free_body_diagonal(d: Driver, row: Row) -> Lane:
-    """Return a row's diagonal entry of G M^-1 G^T if its links were free bodies with isotropic
+    """Return the diagonal entry of G M^-1 G^T of a row, for links that are free bodies of isotropic
     inertia. It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links
     without a force. It does not vanish with the lever arm of a force."""
     out: Lane = 0.0

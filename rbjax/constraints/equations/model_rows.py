@@ -43,7 +43,7 @@ def rows_of(model: Model, now: Context) -> list[Row]:
 
 
 def _compute_once(row: Row, now: Context) -> Row:
-    """Put the lanes of a row behind a fusion barrier, so that XLA computes them only once."""
+    """Put the lanes of a row behind a fusion barrier, to compute them only once under XLA."""
     known = (now.q, now.v, now.a, now.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)

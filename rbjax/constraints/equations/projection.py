@@ -107,7 +107,7 @@ def least_change(
         return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
     def at_start(changed, q, v, x, l):
-        """Return the driver, the context and the rows at q, and G^T l - W x."""
+        """Compute driver, context and constraint rows at q, and the residual G^T l - W x."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Context.of(model, t0, State(q, v), None, d=d)
@@ -154,7 +154,8 @@ def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.A
 def position_residuals(
     now: Context, rows: Sequence[Row], value: jax.Array, dq: jax.Array
 ) -> jax.Array:
-    """Return g of holonomic rows and G dq of non-holonomic rows, with G at `now`."""
+    """Return the residual g of holonomic rows, and G dq of non-holonomic rows with the gradient at
+    `now`."""
     rates = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
     if not rates.size:
         return value
@@ -311,7 +312,10 @@ def _newton(
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def correction(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Solve G x = c, x = W^-1 G_0^T l for x and l, of least norm if rows are redundant."""
+        """Solve G x = c with x = W^-1 G_0^T l for the correction x and the multipliers l.
+
+        G_0 is the gradient at the start, and W the weight. If rows are redundant, l has least norm.
+        """
         J = r[:, None] * matmat(G, Y) * r
         l = r * matvec(J.T, solve_least_norm(matmat(J, J.T), r * c, 1.0))
         return matvec(Y, l), l

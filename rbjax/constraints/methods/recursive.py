@@ -250,7 +250,7 @@ class ClusterTree:
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """Return the force on a link, including the forces of its clusters."""
+            """Return the force on a link, including the forces of clusters whose parent it is."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))

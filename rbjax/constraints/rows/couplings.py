@@ -27,7 +27,8 @@ from rbjax.model.record import check_fields, check_number, floats
 
 
 class JointPolynomial(Constraint):
-    """A coupling q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's mimic.
+    """A coupling of two joints, q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's
+    mimic.
 
     Fields:
         joint: static, name or index of joint 1, which has one coordinate.
@@ -137,13 +138,19 @@ class Prescribed(Constraint):
 
 
 def _proportional(now: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
-    """Build the row q1 - r1 - factor (q2 - r2). `joint`: (name, kind) of joint 1; 2 is a hinge."""
+    """Build the row q1 - r1 - factor (q2 - r2), with r the reference of a coordinate.
+
+    joint: (name, kind) of joint 1. driver: joint 2, a hinge.
+    """
     driven = from_reference(now, driver, "hinge")
     return from_reference(now, *joint) - driven * scalar(factor, now.q.dtype)
 
 
 def from_reference(now: Context, joint: str | int, kind: str | None = None) -> Row:
-    """Build the row q - r of a joint of one coordinate. Raise InputError if its kind differs."""
+    """Build the row q - r, with r the reference of a joint of one coordinate.
+
+    Raise InputError if the kind of the joint is not `kind`.
+    """
     _check_kind(now, joint, kind)
     start = now.model.topology.joint_q[now.model.joint(joint)]
     reference = lane(table(now.model.joints.reference, now.q.dtype), start)

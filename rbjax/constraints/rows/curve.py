@@ -158,7 +158,7 @@ def _nearest(c: Callable) -> Callable:
     """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return F(x, s) and |c'|^2."""
+        """Return F(x, s), whose root is the nearest parameter s, and |c'(s)|^2 of the curve."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 

@@ -49,6 +49,8 @@ NEAR = 1e-5
 class Pair(Constraint):
     """Base class of joints between two frames that close a kinematic loop.
 
+    Origin and axes of the frame on body a are p_a, x_a and z_a, of the frame on b p_b, x_b, z_b.
+
     Fields:
         a, b: `Place`s on the two bodies.
 
@@ -130,28 +132,28 @@ class HalfAngle(Constraint):
 
 
 def trace(A: Frame, B: Frame) -> Row:
-    """Return the row of the trace 1 + 2 cos(x) of the rotation between two frames."""
+    """Return the row of the trace of the relative rotation: 1 + 2 cos(x) for the angle x."""
     x, y, z = (cosine(A, e, B, e) for e in AXES)
     return x + y + z
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of z_b parallel to z_a."""
+    """Return two rows that are zero if the z axes of two frames are parallel."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
 def orthogonal(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of z_b orthogonal to x_a."""
+    """Return the row that is zero if the z axis of B is orthogonal to the x axis of A."""
     return [cosine(A, X, B, Z)]
 
 
 def on_axis(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of p_b on the axis z_a."""
+    """Return two rows that are zero if the origin of B is on the z axis of A."""
     return [along(A, X, B), along(A, Y, B)]
 
 
 def in_plane(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of p_b in the plane through p_a that is orthogonal to z_a."""
+    """Return the row that is zero if the origin of B is in the x-y plane of A."""
     return [along(A, Z, B)]
 
 

@@ -60,7 +60,7 @@ class Signals:
 
     @property
     def turn(self) -> Lane:
-        """The change of the length over a full turn."""
+        """The change of the length l when the joint rotates by a full turn."""
         return self._transmission.turn(self.dtype)
 
     def nearest(self, angle: Lane, to: Lane) -> Lane:
@@ -97,7 +97,8 @@ class ForceLaw(Record):
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """Compute the derivatives of the force by l and l' for an implicit step; 0 by default."""
+        """Compute the derivatives of the force by length l and speed l', for an implicit step; 0 by
+        default."""
         return 0.0, 0.0
 
 
@@ -257,8 +258,11 @@ class GainBias(ForceLaw):
         return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
-        """Return the control. If the law is circular and its activation follows the control, shift
-        the control by full turns to be nearest to the activation."""
+        """Return the control u.
+
+        If the law is circular and its activation follows the control, u is shifted by full turns to
+        be nearest to the activation.
+        """
         followed = self.activation is not None and self.activation.follows
         return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]
 

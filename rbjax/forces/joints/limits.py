@@ -91,7 +91,7 @@ class JointLimits(Element):
     # rebound that gains speed. Without it they do not converge, and `Trajectory.ok` is False.
 
     def energy(self, now: Context) -> Lane:
-        """Compute the energy, the sum of k S(p)."""
+        """Compute the potential energy of the stops, J."""
         return total(
             stop_energy(depth, *(_entry(x, n, depth) for x in (self.stiffness, self.width)))
             for n, _, depth, _ in self._stops(now)

@@ -102,7 +102,7 @@ class JointPolynomials(Element):
         return out
 
     def energy(self, now: Context) -> Lane:
-        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
+        """Compute the potential energy of the springs, J."""
 
         def stored(coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
             shares = [mul(1 / n, k) for n, k in enumerate(coefficients, self.lowest + 2)]

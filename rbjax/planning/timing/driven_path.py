@@ -175,7 +175,8 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Replace unknown rows of (n, k) by the last known row, or else by the first known row."""
+    """Fill unknown rows of an array (n, k) with the last known row, or else with the first known
+    row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]

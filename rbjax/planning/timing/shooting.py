@@ -61,7 +61,7 @@ class Shooting(NamedTuple):
         start: (nz,), the initial state.
         goal: (3,), the goal pose.
         field, footprint: None without a map.
-        due: (n parts, discs), the required clearances, m.
+        due: (n * parts, discs), the required clearances, m.
         parts: steps of an interval, static.
     """
 
@@ -143,13 +143,16 @@ class Shooting(NamedTuple):
         return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
     def rows(self, w: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Evaluate e (3 + nv,) and b (rows,)."""
+        """Evaluate the end constraints e (3 + nv,) and the path constraints b (rows,)."""
         z = self.states(w)
         flat = z.reshape(-1, z.shape[-1])
         return self.equal(flat[-1]), jax.vmap(self.below)(flat, self.due).ravel()
 
     def linear(self, w: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        """Evaluate (e, de/dw) and (b, db/dw), with w flattened."""
+        """Evaluate end constraints e, path constraints b and derivatives: (e, de/dw), (b, db/dw).
+
+        w is flattened.
+        """
         z = self.states(w)
         n, parts, nz = z.shape
         before = jnp.concatenate([self.start[None], z[:-1, -1]])

@@ -42,7 +42,7 @@ class RobotContext:
 
     @functools.cached_property
     def shape(self) -> Shape:
-        """The shape at the angles of trailers, steerings and casters."""
+        """The `Shape`: directions of trailers and wheels at the current angles."""
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
@@ -58,14 +58,15 @@ class RobotContext:
         return out
 
     def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
-        """Compute the shape with its rate at full velocities w."""
+        """Compute the `Shape` and its time derivative, as `Dual` lanes, at full velocities w."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
         )
 
     def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
-        """Compute the shape with its first and second rate at constant rates of the angles."""
+        """Compute the `Shape` with its first and second time derivative, at constant rates of the
+        angles."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n,
@@ -75,13 +76,13 @@ class RobotContext:
 
 
 def angles_of(now: RobotContext) -> list[Lane]:
-    """Return the angles on which the shape depends."""
+    """Return the angles of trailers, steerings and casters, on which the `Shape` depends."""
     n = now.n
     return now.q[3 : n.layout.casters.stop]
 
 
 def steering_rates(now: RobotContext) -> list[Lane]:
-    """Compute the rate b' of each steering."""
+    """Compute the rate of each steering angle, rad/s."""
     n = now.n
     out = []
     first = len(n.robot.drives)
@@ -102,7 +103,7 @@ def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
 
 
 def angle_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """Compute the rates of the angles on which the shape depends."""
+    """Compute the rates of the angles of trailers, steerings and casters."""
     n = now.n
     trailers = list(w[3 : 2 + len(n.bodies)])
     casters = []

@@ -52,11 +52,14 @@ class Equations(NamedTuple):
 
     @property
     def accelerations(self) -> list[Lane]:
-        """The solution nu' of M nu' = f."""
+        """The accelerations nu', the solution of M nu' = f."""
         return ldlt(self.M).solve(self.f)
 
     def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
-        """Solve (M + h D) nu' = f, with D = sum c d d^T over the dampers."""
+        """Solve (M + h D) nu' = f, with the damping matrix D = sum c d d^T.
+
+        dampers: pairs of a coefficient c and a row d of full velocities, projected onto nu.
+        """
         M = [list(row) for row in self.M]
         for c, d in dampers:
             moved = [inner(d, column) for column in self.columns]

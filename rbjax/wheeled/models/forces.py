@@ -130,7 +130,7 @@ def shaft_torques(
 
 
 def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
-    """Compute the linear dampers of the shafts: axle damping, and the secants of the motors."""
+    """Compute the linear dampers of the shafts: axle damping, and torque / speed of the motors."""
     n = now.n
     rates = n.shaft_rates(w)
     first, speeds = len(w) - len(rates), drive_speeds(n, rates)

@@ -176,7 +176,11 @@ def _matrix(columns: Sequence[Sequence[Any]], n: Parameters) -> jax.Array:
 def _terms(
     now: RobotContext, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
 ) -> tuple[jax.Array, ...]:
-    """Compute M, C, B, f and tau in the velocities nu, which `velocities` maps to w."""
+    """Compute the mass matrix M, Coriolis matrix C, input matrix B, other forces f, and drive
+    torques.
+
+    They are in the velocities nu, which `velocities` maps to the full velocities w.
+    """
     n, size, dtype = now.n, len(nu), now.n.dtype
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     shape = now.shape_with_rate(w)

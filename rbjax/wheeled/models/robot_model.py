@@ -116,7 +116,7 @@ class RobotModel(Record):
 
 
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
-    """Stack lists of lanes to a `State`."""
+    """Stack lists of coordinates, velocities and tyre states to a `State`."""
     tyres = stack_lanes(x, dtype) if len(x) else None
     return State(stack_lanes(q, dtype), stack_lanes(v, dtype), tyres)
 
@@ -189,7 +189,8 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
 
 
 def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
-    """Make the state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
+    """Make the state at coordinates q (nq,) with a chassis twist (3,), projected on the allowed
+    twists."""
     now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
     V = Twist(*(twist[i] for i in range(3)))
     w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))

@@ -109,8 +109,10 @@ class Slipping(RobotModel):
         return w
 
     def contacts(self, now: RobotContext) -> tuple[list[Pair], list[Lane]]:
-        """Compute the traction of each wheel, and the rates of the tyre states. The traction is the
-        force per newton of load, along the wheel's heading and to its left."""
+        """Compute the traction of each wheel and the rates of the tyre states.
+
+        The traction is the force per newton of load, along the wheel's heading and to its left.
+        """
         n, used = now.n, 0
         out, states = [], []
         for wheel, law, (along, across, roll) in zip(

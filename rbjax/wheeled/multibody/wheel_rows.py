@@ -97,7 +97,7 @@ class WheelContact(Constraint):
 
 
 def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
-    """Compute the directions ahead and to the left, on the ground, with their rates."""
+    """Compute the directions ahead and to the left of wheel B on the ground A, with their rates."""
     (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
     ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)
     return {

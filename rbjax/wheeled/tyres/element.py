@@ -173,5 +173,5 @@ class TyreOnGround(Element):
         return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
 
     def _in(self, now: Context) -> TyreOnGround:
-        """Return a copy in the dtype of the motion."""
+        """Return a copy with parameters in the dtype of the motion."""
         return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)
