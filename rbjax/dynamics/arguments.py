@@ -104,7 +104,8 @@ def check_static(where: str, kind: str, value: Any) -> None:
     The kinds are "body", "site", "integrator" and "dynamics". None and strings always pass.
     """
     index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
-    if value is None or isinstance(value, str) or index or (kind == "body" and isinstance(value, Frame)):
+    frame = kind == "body" and isinstance(value, Frame)
+    if value is None or isinstance(value, str) or index or frame:
         return
     if kind in ("body", "site"):
         raise InputError(

@@ -2,8 +2,8 @@
 
     sphere, ellipsoid, side of a cylinder:   a s^2 + 2 b s + c = 0, the least root s >= 0
     plane, face, end:                        s = (offset - p) / d, within the bounds of the face
-The ray is p + s d with s >= 0, in the frame of the shape. s is infinite if the ray does not meet the
-shape. From inside a ray meets the far wall. A plane is met from its front only.
+The ray is p + s d with s >= 0, in the frame of the shape. s is infinite if the ray does not meet
+the shape. From inside a ray meets the far wall. A plane is met from its front only.
 
 Source: Ericson, *Real-Time Collision Detection*, 5.3; MuJoCo, *XML reference*, rangefinder.
 """

@@ -12,16 +12,24 @@ from benchmarks.cases.random_trees import random_tree
 from tests.robots import load_quietly
 
 KIND, OBJECT = mujoco.mjtSensor, mujoco.mjtObj
-AT_SITE = "ACCELEROMETER VELOCIMETER GYRO FORCE TORQUE MAGNETOMETER TOUCH".split()
-OF_FRAME = "FRAMEPOS FRAMEQUAT FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS FRAMELINVEL FRAMEANGVEL".split()
-OF_RATES = "FRAMELINACC FRAMEANGACC".split()
-OF_TREE = "SUBTREECOM SUBTREELINVEL SUBTREEANGMOM".split()
-OF_JOINT = "JOINTPOS JOINTVEL JOINTACTFRC".split()
-OF_LIMIT = "JOINTLIMITPOS JOINTLIMITVEL".split()
-OF_BALL = "BALLQUAT BALLANGVEL".split()
-OF_TENDON = "TENDONPOS TENDONVEL TENDONACTFRC".split()
-OF_ACTUATOR = "ACTUATORPOS ACTUATORVEL ACTUATORFRC".split()
-ALONE = "CLOCK E_POTENTIAL E_KINETIC".split()
+AT_SITE = ["ACCELEROMETER", "VELOCIMETER", "GYRO", "FORCE", "TORQUE", "MAGNETOMETER", "TOUCH"]
+OF_FRAME = [
+    "FRAMEPOS",
+    "FRAMEQUAT",
+    "FRAMEXAXIS",
+    "FRAMEYAXIS",
+    "FRAMEZAXIS",
+    "FRAMELINVEL",
+    "FRAMEANGVEL",
+]
+OF_RATES = ["FRAMELINACC", "FRAMEANGACC"]
+OF_TREE = ["SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM"]
+OF_JOINT = ["JOINTPOS", "JOINTVEL", "JOINTACTFRC"]
+OF_LIMIT = ["JOINTLIMITPOS", "JOINTLIMITVEL"]
+OF_BALL = ["BALLQUAT", "BALLANGVEL"]
+OF_TENDON = ["TENDONPOS", "TENDONVEL", "TENDONACTFRC"]
+OF_ACTUATOR = ["ACTUATORPOS", "ACTUATORVEL", "ACTUATORFRC"]
+ALONE = ["CLOCK", "E_POTENTIAL", "E_KINETIC"]
 
 
 def add(spec, kind, objtype=None, name="", base=None, **given):
@@ -84,8 +92,8 @@ def named(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def tree(seed: int) -> mujoco.MjModel:
-    """A random tree with sensors of every kind."""
+def tree(seed: int, every: int = 1) -> mujoco.MjModel:
+    """A random tree with sensors of every kind; every: keep one of so many sensors."""
     spec = named(mujoco.MjSpec.from_string(random_tree(seed)))
     rng = np.random.default_rng(seed)
     bodies = spec.bodies
@@ -97,7 +105,10 @@ def tree(seed: int) -> mujoco.MjModel:
             pos=rng.normal(size=3) * 0.2, quat=unit(rng), contype=0, conaffinity=0,
         )  # fmt: skip
     bodies[-1].add_camera(name="eye", pos=rng.normal(size=3) * 0.1, quat=unit(rng))
-    return equip(spec, rng).compile()
+    left = [x for k, x in enumerate(equip(spec, rng).sensors) if k % every]
+    for sensor in left:
+        spec.delete(sensor)
+    return spec.compile()
 
 
 def unit(rng):
