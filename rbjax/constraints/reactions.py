@@ -130,7 +130,7 @@ def joint_wrenches(
         (joints, 6) [torque N m; force N] in world axes, at the origin of the joint's frame on b.
     """
     l = _multipliers(model, state, ctrl, t)
-    now = Context.of(model, t, state, None)
+    context = Context.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
         joint = constraint.of if isinstance(constraint, Soft) else constraint
@@ -139,20 +139,20 @@ def joint_wrenches(
                 f"joint_wrenches: the model has a {type(joint).__name__}, expected joints "
                 "between two frames only; `multipliers` takes any constraint"
             )
-        _, (B, wrench) = _wrenches_of_pair(now, joint, l[at : at + joint.size])
+        _, (B, wrench) = _wrenches_of_pair(context, joint, l[at : at + joint.size])
         out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
         at += joint.size
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
 
 
-def body_reactions(now: Context, tau: Any, f_ext: Any) -> dict[int, Force]:
+def body_reactions(context: Context, tau: Any, f_ext: Any) -> dict[int, Force]:
     """Return the sums of the constraint forces on bodies, in world axes at the body's origin.
 
     tau, f_ext: all applied forces. A force that a constraint exerts on a link, and not on the ends
     of a `Pair`, is given to the body that carries the link's joint.
     """
-    model, top = now.model, now.model.topology
-    l = _motion(model, now.t, now.state, tau, f_ext)[1]
+    model, top = context.model, context.model.topology
+    l = _motion(model, context.t, context.state, tau, f_ext)[1]
     out: dict[int, Force] = {}
     at = 0
 
@@ -160,22 +160,21 @@ def body_reactions(now: Context, tau: Any, f_ext: Any) -> dict[int, Force]:
         if body == WORLD:
             return
         force, torque = frame.rotation @ wrench.lin, frame.rotation @ wrench.ang
-        arm = frame.position - now.body(body).position
+        arm = frame.position - context.body(body).position
         moved = Force(torque + arm.cross(force), force)
         out[body] = out[body] + moved if body in out else moved
 
     for constraint in model.constraints:
         joint = constraint.of if isinstance(constraint, Soft) else constraint
         if isinstance(joint, Pair):
-            ends = _wrenches_of_pair(now, joint, l[at : at + joint.size])
+            ends = _wrenches_of_pair(context, joint, l[at : at + joint.size])
             for place, (frame, wrench) in zip((joint.a, joint.b), ends, strict=True):
                 put(_body_of(model, place), frame, wrench)
         else:
-            for k, row in enumerate(constraint.rows(now)):
+            for k, row in enumerate(constraint.rows(context)):
                 for link, wrench in wrenches_by_link(row.gradient).items():
-                    put(
-                        top.carriers[top.body_links.index(link)], now.link(link), wrench * l[at + k]
-                    )
+                    carrier = top.carriers[top.body_links.index(link)]
+                    put(carrier, context.link(link), wrench * l[at + k])
         at += constraint.size
     return out
 
@@ -186,11 +185,12 @@ def _body_of(model: Model, place: Any) -> int:
     return WORLD if place.body in (None, WORLD) else model.body(place.body)
 
 
-def _wrenches_of_pair(now: Context, joint: Pair, l: jax.Array) -> list[tuple[Frame, Force]]:
+def _wrenches_of_pair(context: Context, joint: Pair, l: jax.Array) -> list[tuple[Frame, Force]]:
     """Return the frames a and b of a pair, and the wrench on each at its origin and in its axes."""
-    ends = [_End(now, place.frame(now), k) for place, k in ((joint.a, START), (joint.b, END))]
+    places = ((joint.a, START), (joint.b, END))
+    ends = [_End(context, place.frame(context), index) for place, index in places]
     wrenches = [Force.zero(), Force.zero()]
-    for k, row in enumerate(joint.between_frames(*ends, now)):
+    for k, row in enumerate(joint.between_frames(*ends, context)):
         found = wrenches_by_link(row.gradient)
         for i, end in enumerate((START, END)):
             wrenches[i] = wrenches[i] + found.get(end, Force.zero()) * l[k]
@@ -204,9 +204,9 @@ class _End(Frame):
     """A frame that records the wrenches on it, in its own axes and at its origin. It keeps them
     apart from wrenches on its link, which may be the world or carry both frames."""
 
-    def __init__(self, now: Context, frame: Frame, index: int, *moved: Transform):
-        super().__init__(now.links, frame.link, *frame._placed, *moved)
-        self._now, self._frame, self._index, self._moved = now, frame, index, moved
+    def __init__(self, context: Context, frame: Frame, index: int, *moved: Transform):
+        super().__init__(context.links, frame.link, *frame._placed, *moved)
+        self._now, self._frame, self._index, self._moved = context, frame, index, moved
 
     def then(self, placed: Transform) -> Frame:
         return _End(self._now, self._frame, self._index, *self._moved, placed)

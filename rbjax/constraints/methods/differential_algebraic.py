@@ -84,9 +84,9 @@ class DifferentialAlgebraic(Method):
             (m,) of the equations, and the number of GGL rows.
         """
         d = driver(model, state.q.dtype)
-        now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # evaluated first, because the driver reads its lanes
-        rows = rows_of(model, now)
+        context = Context.of(model, t, state, None, d=d)
+        _ = context.links.joints  # evaluated first, because the driver reads its lanes
+        rows = rows_of(model, context)
         ggl = self.position_rows(rows)
         free_diagonal = [free_body_diagonal(d, row) for row in (*rows, *ggl)]
         depth = (*(self.level_of(row)[1] for row in rows), *[1] * len(ggl))
@@ -103,11 +103,11 @@ class DifferentialAlgebraic(Method):
             at = State(retract(model, q, u), v, x if model.nx else None)
             tau, f_ext, x_rate = forces(t, at)
             d = driver(model, dtype)
-            now = Context.of(model, t, at, None, d=d)
-            rows = rows_of(model, now)
+            context = Context.of(model, t, at, None, d=d)
+            rows = rows_of(model, context)
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
             tau, f_ext = add_multipliers(d, rows, l, tau, f_ext)
-            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
+            needed = rnea(d, context.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
             drift = du - increment_rate(model, u, v)
             values = self.position_rows(rows)
             if values:

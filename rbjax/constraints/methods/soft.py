@@ -40,11 +40,12 @@ from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.impedance import SOLIMP, SOLREF, impedance, reference, regularisation
+from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, sub
 from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 
 class Soft(Constraint):
@@ -121,8 +122,8 @@ class Soft(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return self.of.rows(now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        return self.of.rows(context)
 
     def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
         """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g."""
@@ -146,16 +147,16 @@ def _norm(g: jax.Array) -> jax.Array:
 
 
 def regularizer_and_residual(
-    now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
+    context: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
     """Compute R (rows,) and the residual of the rows' equations at f = 0. R is zero for rigid rows.
     The residual (rows,) is at the accelerations of the context, with Baumgarte's feedback of rigid
     rows."""
     R: list[Any] = []
     residual: list[Any] = []
-    a = now.a
-    without_bias = matvec(gradient_matrix(now, rows), a)
-    for constraint in now.model.constraints:
+    a = context.a
+    without_bias = matvec(gradient_matrix(context, rows), a)
+    for constraint in context.model.constraints:
         at = slice(len(R), len(R) + constraint.size)
         if isinstance(constraint, Soft):
             own, right = constraint.soft_terms(rows[at], a.dtype)
@@ -201,20 +202,20 @@ def compliant_motion(
     return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method, residual)
 
 
-def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+def soft_problem(d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
     """Set up the equations (G M^-1 G^T + R) df = residual, starting from the free acceleration."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+    qdd, factors = aba(d, context.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
-    def factor(now: Context, rows: Sequence[Row]) -> Solve:
-        R, _ = regularizer_and_residual(now, rows)
-        return DelassusMatrix(d, factors, now, rows, R=R).solve
+    def factor(context: Context, rows: Sequence[Row]) -> Solve:
+        R, _ = regularizer_and_residual(context, rows)
+        return DelassusMatrix(d, factors, context, rows, R=R).solve
 
     return LinearProblem(d.pack(qdd, tau), None, factor)
 
 
 def soft_right_hand_side(
-    now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
+    context: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
     """Return the residual of the rows' equations at forces f, or at zero forces if f is None."""
-    R, residual = regularizer_and_residual(now, rows, alpha, beta)
+    R, residual = regularizer_and_residual(context, rows, alpha, beta)
     return list(residual if f is None else residual - R * f)

@@ -35,16 +35,16 @@ X, Y, Z = (Vec3(*(float(i == k) for i in range(3))) for k in range(3))
 AXES = (X, Y, Z)
 
 
-def time(now: Context) -> Row:
+def time(context: Context) -> Row:
     """Return the row whose value is the time t."""
-    return Row(now.t, 1.0, Loads(), 0.0)
+    return Row(context.t, 1.0, Loads(), 0.0)
 
 
-def coordinate(now: Context, joint: str | int, k: int = 0) -> Row:
+def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
     """Return the row of coordinate k of a joint: a hinge, a slide or a chain of them."""
-    j = now.joint(joint)
+    j = context.joint(joint)
     i = j.start + k
-    return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if now.a is None else now.a[i])
+    return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if context.a is None else context.a[i])
 
 
 def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:

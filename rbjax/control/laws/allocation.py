@@ -124,18 +124,18 @@ def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
     b is nv lanes, B nv lanes for each control. Structural zeros of B are the literal 0.0.
     """
     free = _unlimited(model)
-    now = Context.of(free, 0.0, state, None)
+    context = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
 
     def at(u: list) -> list[Lane]:
         given = Loads()
-        context = dataclasses.replace(now, ctrl=u, found={})
-        for element, seen in element_contexts(free, context):
+        driven = dataclasses.replace(context, ctrl=u, found={})
+        for element, seen in element_contexts(free, driven):
             if element.actuates:
                 given = given + element.loads(seen)
         tau = [given.tau.get(n, 0.0) for n in range(model.nv)]
         if given.wrenches:
-            summed = now.generalized_of(given.wrenches)
+            summed = context.generalized_of(given.wrenches)
             tau = [add(x, summed[n]) for n, x in enumerate(tau)]
         return tau
 
