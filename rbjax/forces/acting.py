@@ -53,7 +53,7 @@ def loads(model: Model, context: Context) -> tuple[list[Lane], LinkForces]:
     """Sum the generalized forces, one lane per dof, and the forces on links."""
     passive, driven, later = Loads(), Loads(), []
     found = element_contexts(model, context)
-    scales = {} if context.ctrl is None else _tendon_scales(model, found)
+    scales = {} if context.ctrl is None else tendon_scales(model, found)
     for element, seen in found:
         if element.after_actuators:
             later.append((element, seen))
@@ -78,7 +78,7 @@ def _given(element: Element, seen: Context) -> Loads:
     return found
 
 
-def _tendon_scales(model: Model, found: list[tuple[Element, Context]]) -> dict[int, Lane]:
+def tendon_scales(model: Model, found: list[tuple[Element, Context]]) -> dict[int, Lane]:
     """Compute, by tendon, the factor that brings the sum of its actuator forces into its range."""
     out: dict[int, Lane] = {}
     if model.tendons is None:

@@ -130,11 +130,19 @@ class Actuator(Element):
     def actuates(self) -> bool:
         return True
 
+    def output(self, context: Context) -> Lane:
+        """Compute the scalar force, which the moment arms of the transmission multiply."""
+        return self._output(self._signals(context), context.scales.get(self.tendon, 1.0))
+
+    def _output(self, seen: Signals, scale: Lane) -> Lane:
+        limits = table(self.forcerange, seen.dtype)[None]
+        force = jnp.asarray(self.law.force(seen), seen.dtype)
+        force = mul(force, scale)
+        return add(clip(force, limits, 0), self.law.friction(seen))
+
     def loads(self, context: Context) -> Loads:
         seen = self._signals(context)
-        limits = table(self.forcerange, seen.dtype)[None]
-        force = mul(self.force(context), context.scales.get(self.tendon, 1.0))
-        force = add(clip(force, limits, 0), self.law.friction(seen))
+        force = self._output(seen, context.scales.get(self.tendon, 1.0))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
     @property

@@ -12,6 +12,8 @@ import numpy as np
 
 #: flags by which a file disables features
 Off = mujoco.mjtDisableBit
+#: quaternion of no rotation
+ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def members(enum: Any) -> SimpleNamespace:
@@ -97,6 +99,15 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
         pose = m.actuator_trntype[i] == Trn.SITE and base >= 0
         angle = pose and not gear[:3].any() and gear[3:].any()
     return bool(servo and angle)
+
+
+def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
+    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
+    if same == int(kinds.mjSAMEFRAME_BODY):
+        return np.zeros(3), ALIGNED
+    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
+    return m.body_ipos[b], m.body_iquat[b] if turned else ALIGNED
 
 
 def reason_left_out(m: mujoco.MjModel, i: int) -> str:
