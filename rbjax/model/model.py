@@ -164,8 +164,7 @@ class Model(Record):
     geoms: Geoms | None = None  # None if the model is not from a file
     tendons: Tendons | None = None  # None if the model has no tendons
     solver: SolverParameters | None = None  # as geoms
-    #: the law of contacts, limits and friction loss: "mujoco", or None without contacts
-    contact: str | None = eqx.field(static=True, default=None)
+    contact: str | None = eqx.field(static=True, default=None)  # law: "mujoco", None for none
     sensors: tuple = ()  # `rbjax.sensors.NamedSensor`, read by `rb.sense`
 
     def __check_init__(self) -> None:

@@ -83,7 +83,7 @@ def test_reflection_from_inside(distances: tuple[float, float]) -> None:
     at = np.linspace(0, angle, 200_001)
     points = np.stack([np.cos(at), np.sin(at), 0 * at], -1)
     lengths = np.linalg.norm(points - a, axis=-1) + np.linalg.norm(points - b, axis=-1)
-    assert 0 <= lengths.min() - length < 1e-9
+    assert -1e-13 < lengths.min() - length < 1e-9
     best = points[lengths.argmin()]
     np.testing.assert_allclose(first, (best - a) / np.linalg.norm(best - a), atol=1e-3)
     np.testing.assert_allclose(last, (b - best) / np.linalg.norm(b - best), atol=1e-3)
