@@ -1,6 +1,6 @@
 """Accelerations and multipliers of constrained motion, and the wrenches in loop joints.
 
-    M a + b = tau + sum of J_i^T f_i + G^T l
+M a + b = tau + sum of J_i^T f_i + G^T l
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def joint_wrenches(
         (joints, 6) [torque N m; force N] in world axes, at the origin of the joint's frame on b.
     """
     l = _multipliers(model, state, ctrl, t)
-    now = Context.of(model, t, state, None)
+    context = Context.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
         joint = constraint.of if isinstance(constraint, Soft) else constraint
@@ -139,9 +139,9 @@ def joint_wrenches(
                 f"joint_wrenches: the model has a {type(joint).__name__}, expected joints "
                 "between two frames only; `multipliers` takes any constraint"
             )
-        B = _End(now, joint.b.frame(now))
+        B = _End(context, joint.b.frame(context))
         wrench = Force.zero()
-        for row in joint.between_frames(joint.a.frame(now), B, now):
+        for row in joint.between_frames(joint.a.frame(context), B, context):
             wrench = wrench + wrenches_by_link(row.gradient).get(END, Force.zero()) * l[at]
             at += 1
         out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
@@ -155,9 +155,9 @@ class _End(Frame):
     """A frame that records the wrenches on it, in its own axes and at its origin. It keeps them
     apart from wrenches on its link, which may be the world or carry both frames."""
 
-    def __init__(self, now: Context, frame: Frame, *moved: Transform):
-        super().__init__(now.links, frame.link, *frame._placed, *moved)
-        self._now, self._frame, self._moved = now, frame, moved
+    def __init__(self, context: Context, frame: Frame, *moved: Transform):
+        super().__init__(context.links, frame.link, *frame._placed, *moved)
+        self._now, self._frame, self._moved = context, frame, moved
 
     def then(self, placed: Transform) -> Frame:
         return _End(self._now, self._frame, *self._moved, placed)

@@ -286,11 +286,13 @@ def _vector(where: str, x: Any) -> Vec3:
     return Vec3(*(x[i] for i in range(3)))
 
 
-def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any) -> Loads:
+def on_each(
+    context: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any
+) -> Loads:
     """Sum act(frame, *numbers) over bodies.
 
     Args:
-        now: context.
+        context: context.
         bodies: body indices, which may repeat. Bodies fixed to the world are skipped.
         act: function of a body's frame and its parameters that returns `Loads`, a sum of results
             of `push`. It computes with lanes and does not branch on their values. If it pushes only
@@ -303,26 +305,26 @@ def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *num
         >>> import rbjax as rb, jax
         >>> class Breeze(rb.forces.Element):
         ...     drag: jax.Array  # (nb,) N s/m
-        ...     def loads(self, now):
+        ...     def loads(self, context):
         ...         slow = lambda body, drag: body.push(body.velocity * -drag)
-        ...         return rb.forces.on_each(now, range(now.model.nb), slow, self.drag)
+        ...         return rb.forces.on_each(context, range(context.model.nb), slow, self.drag)
         >>> model = rb.load("double_pendulum")
         >>> model = model.with_forces(Breeze(jax.numpy.ones(2)))
         >>> rb.applied_forces(model, model.default_state()).tolist()
         [0.0, 0.0]
     """
-    moving = [i for i, b in enumerate(bodies) if now.model.topology.body_links[b] != WORLD]
-    columns = jax.tree.map(lambda x: _lanes(table(x, now.q.dtype)), numbers)
+    moving = [i for i, b in enumerate(bodies) if context.model.topology.body_links[b] != WORLD]
+    columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
 
     def written_out() -> Loads:
         each = ((bodies[i], _known(lane, columns, i)) for i in moving)
-        return sum((act(now.body(b), *own) for b, own in each), Loads())
+        return sum((act(context.body(b), *own) for b, own in each), Loads())
 
-    if isinstance(now.links.driver, Unrolled) or not moving:
+    if isinstance(context.links.driver, Unrolled) or not moving:
         return written_out()
     rows, index = np.array(moving), np.array(bodies)[moving]
-    own = _known(now.links.column, columns, rows)
-    leaves, tree = jax.tree.flatten((*now.links.columns(index), own))
+    own = _known(context.links.column, columns, rows)
+    leaves, tree = jax.tree.flatten((*context.links.columns(index), own))
 
     def one(lanes: list) -> Force:
         left = iter(lanes)
@@ -333,13 +335,13 @@ def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *num
         if found.tau or isinstance(found.wrenches, Force) or found.wrenches.keys() - {_OWN}:
             raise _NotItsOwn
         force = found.wrenches.get(_OWN, Force.zero())
-        return as_arrays(force, jnp.zeros((), now.q.dtype))
+        return as_arrays(force, jnp.zeros((), context.q.dtype))
 
     try:
         forces = jax.lax.map(one, [x for x in leaves if not is_literal(x)])
     except _NotItsOwn:
         return written_out()
-    return Loads({}, now.links.scattered(index, forces))
+    return Loads({}, context.links.scattered(index, forces))
 
 
 #: placeholder index of the body's link in a loop over bodies
@@ -352,7 +354,10 @@ class _NotItsOwn(Exception):
 
 
 class _Still:
-    """The pose and twist of one link, in place of `LinkMotion`."""
+    """The pose and twist of one link, with the interface of `LinkMotion`.
+
+    `on_each` uses it in its loop over the bodies.
+    """
 
     def __getattr__(self, name: str) -> Any:
         raise _NotItsOwn

@@ -62,18 +62,18 @@ class Place(Record):
         axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
         return cls(point, turn_z_to(axis), body, site)
 
-    def frame(self, now: Context) -> Frame:
+    def frame(self, context: Context) -> Frame:
         """Return the frame at an instant."""
-        quat = table(self.orientation, now.q.dtype)
+        quat = table(self.orientation, context.q.dtype)
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
-        return _named_frame(self, now).then(Transform(turn, self._position(now)))
+        return _named_frame(self, context).then(Transform(turn, self._position(context)))
 
-    def point(self, now: Context) -> Frame:
+    def point(self, context: Context) -> Frame:
         """Return the frame with the same origin, in the axes of the body or site."""
-        return _named_frame(self, now).at(self._position(now))
+        return _named_frame(self, context).at(self._position(context))
 
-    def _position(self, now: Context) -> Vec3:
-        p = table(self.position, now.q.dtype)
+    def _position(self, context: Context) -> Vec3:
+        p = table(self.position, context.q.dtype)
         return Vec3(*(lane(p, k) for k in range(3)))
 
 
@@ -90,11 +90,11 @@ def _check_named(place: Any) -> None:
             raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
 
 
-def _named_frame(place: Any, now: Context) -> Frame:
+def _named_frame(place: Any, context: Context) -> Frame:
     """Return the frame of the body or site of a place; the world's if both are None."""
     if place.site is not None:
-        return now.site(place.site)
-    return now.body(WORLD if place.body is None else place.body)
+        return context.site(place.site)
+    return context.body(WORLD if place.body is None else place.body)
 
 
 def check_places(record: Any) -> None:

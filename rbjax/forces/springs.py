@@ -93,8 +93,8 @@ class PointSpring(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"stiffness": (None,), "damping": (None,), "slack": (2,)}
 
-    def loads(self, now: Context) -> Loads:
-        a, b, dtype = self.a.point(now), self.b.point(now), now.q.dtype
+    def loads(self, context: Context) -> Loads:
+        a, b, dtype = self.a.point(context), self.b.point(context), context.q.dtype
         k, d = _coefficients(self.stiffness, dtype), _coefficients(self.damping, dtype)
         springy, damped = (not all(map(is_zero, c)) for c in (k, d))
         if not (springy or damped):
@@ -112,13 +112,13 @@ class PointSpring(Element):
         force = line * scale
         return a.push(force) + b.push(-force)
 
-    def energy(self, now: Context) -> Lane:
-        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
-        k = _coefficients(self.stiffness, now.q.dtype)
+    def energy(self, context: Context) -> Lane:
+        """Compute the potential energy of the spring, J."""
+        k = _coefficients(self.stiffness, context.q.dtype)
         if all(map(is_zero, k)):
             return 0.0
-        line = self.b.point(now).position - self.a.point(now).position
-        x, _ = self._stretch(*_distance(line, now.q.dtype), now.q.dtype)
+        line = self.b.point(context).position - self.a.point(context).position
+        x, _ = self._stretch(*_distance(line, context.q.dtype), context.q.dtype)
         shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
         return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
@@ -193,9 +193,9 @@ class Bushing(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"stiffness": (6,), "damping": (6,)}
 
-    def loads(self, now: Context) -> Loads:
-        a, b = self.a.frame(now), self.b.frame(now)
-        k, d = numbers(self.stiffness, now.q.dtype), numbers(self.damping, now.q.dtype)
+    def loads(self, context: Context) -> Loads:
+        a, b = self.a.frame(context), self.b.frame(context)
+        k, d = numbers(self.stiffness, context.q.dtype), numbers(self.damping, context.q.dtype)
         E, line = a.rotation.T, b.position - a.position
         torque, force = Vec3.zero(), _scaled(k[3:], E @ line)
         if not all(map(is_zero, k[:3])):
@@ -210,9 +210,13 @@ class Bushing(Element):
         torque, force = a.rotation @ torque, a.rotation @ force
         return a.push(force, torque, at=b.position) + b.push(-force, -torque)
 
-    def energy(self, now: Context) -> Lane:
-        """Compute the energy (d . K_l d + phi . K_a phi) / 2."""
-        a, b, k = self.a.frame(now), self.b.frame(now), numbers(self.stiffness, now.q.dtype)
+    def energy(self, context: Context) -> Lane:
+        """Compute the potential energy of the bushing, J."""
+        a, b, k = (
+            self.a.frame(context),
+            self.b.frame(context),
+            numbers(self.stiffness, context.q.dtype),
+        )
         E = a.rotation.T
         way, turns = E @ (b.position - a.position), not all(map(is_zero, k[:3]))
         phi = _rotation_vector(E @ b.rotation) if turns else Vec3.zero()

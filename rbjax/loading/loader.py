@@ -302,9 +302,9 @@ def _driven(model: Model) -> set[int]:
     """Return the joints that an actuator drives by a joint or tendon transmission. A wrench at a
     site does not count."""
     transmissions = [x.transmission for x in elements(model) if isinstance(x, Actuator)]
-    now = Context.of(model, 0.0, model.default_state(), None)
+    context = Context.of(model, 0.0, model.default_state(), None)
     dofs = {
-        i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(now).arms
+        i for x in transmissions if not isinstance(x, SiteWrench) for i in x.reach(context).arms
     }  # fmt: skip
     return {model.topology.dofs[i].joint for i in dofs}
 

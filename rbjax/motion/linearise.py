@@ -231,7 +231,8 @@ def linearise_euler_step(
     """Compute the state after a semi-implicit Euler step of free motion, A and B, by the analytical
     derivatives of forward dynamics. Return None if elements have states.
 
-    dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau
+    dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau,
+        E and J of the step on the manifold
     """
     if model.nx or not model.nv:
         return None

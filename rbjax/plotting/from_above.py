@@ -60,11 +60,11 @@ def places(vehicle: RobotModel, q: Any) -> Places:
 @compiled
 def _places(vehicle: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
     def one(q: jax.Array) -> tuple[jax.Array, ...]:
-        now = vehicle.context(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
-        n = now.n
-        origins, bodies = zip(*now.bodies(), strict=True)
+        context = vehicle.context(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
+        n = context.n
+        origins, bodies = zip(*context.bodies(), strict=True)
         wheels = [
-            rotate(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
+            rotate(e, bodies[w.body]) for w, e in zip(n.wheels, context.shape.wheels, strict=True)
         ]
         tables = ([stack_lanes(x, q.dtype) for x in rows] for rows in (origins, bodies, wheels))
         return tuple(jnp.stack(x) for x in tables)

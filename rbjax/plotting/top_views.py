@@ -235,7 +235,7 @@ def _ground(ax: Axes, grid: Any) -> None:
 
 
 def _scale(vehicle: RobotModel, arrows: np.ndarray) -> float:
-    """Compute the factor of arrows by which the longest one is as long as the robot."""
+    """Compute the factor that scales the longest arrow to the length of the robot."""
     longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
     return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
 
@@ -249,7 +249,7 @@ def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
 
 
 def _given(controls: Any, t: Any, state: State, k: int) -> Any:
-    """Return the controls at a time."""
+    """Return the controls (nu,) at time t, which is the k-th time of the motion."""
     if callable(controls):
         return controls(t, jax.tree.map(jax.numpy.asarray, state))
     return controls if np.ndim(controls) == 1 else controls[k]

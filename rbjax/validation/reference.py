@@ -36,7 +36,8 @@ _TENDONS = (
 
 
 def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """Return an `MjModel` with only the smooth dynamics, and the names of the disabled features.
+    """Return an `MjModel` with only the features that rbjax has, and the names of the disabled
+    ones.
 
     Args:
         source: as for `rbjax.load`. An MjModel is copied, not changed.

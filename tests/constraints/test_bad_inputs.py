@@ -16,14 +16,14 @@ HERE, LOWER = rc.Place.on(), rc.Place.on(body="lower")
 class TwoOfOne(rc.Constraint):
     size = 2
 
-    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
-        return [rc.coordinate(now, "elbow")]
+    def rows(self, context: rb.forces.Context) -> Sequence[rc.Row]:
+        return [rc.coordinate(context, "elbow")]
 
 
 class Numbers(rc.Constraint):
     size = 1
 
-    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
+    def rows(self, context: rb.forces.Context) -> Sequence[rc.Row]:
         return [3.0]  # type: ignore[list-item]
 
 

@@ -256,7 +256,7 @@ def test_springs_at_points_become_tendons() -> None:
 class Wind(rb.forces.Element):
     speed: jax.Array
 
-    def loads(self, now):
+    def loads(self, context):
         return rb.forces.Loads()
 
 

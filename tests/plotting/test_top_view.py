@@ -65,11 +65,11 @@ def test_forces_accelerate_the_car(car, motion):
     def velocity_of_the_center(s):
         rate = wheeled.rates(car, state, u)
         q, v = state.q + s * rate.q, state.v + s * rate.v
-        now = car.context(State(q, v))
-        n = now.n
+        context = car.context(State(q, v))
+        n = context.n
         x, y = (float(a) / float(n.bodies[0].mass) for a in n.bodies[0].moment)
         body = np.array([v[0] - v[2] * y, v[1] + v[2] * x])
-        return vectors(body, np.array([float(a) for a in now.pose]))
+        return vectors(body, np.array([float(a) for a in context.pose]))
 
     found = (velocity_of_the_center(h) - velocity_of_the_center(-h)) / (2 * h)
     np.testing.assert_allclose(forces.sum(0) / float(n.bodies[0].mass), found, rtol=1e-6)

@@ -133,16 +133,18 @@ class Recursive(Method):
         ]
 
 
-def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+def cluster_problem(
+    d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
+) -> LinearProblem:
     """Set up the equations by clusters, or by `range_space_problem` if the tree is not unrolled."""
     if not d.listed:
-        return range_space_problem(d, now, tau, f_ext)
-    joints, gravity = now.links.joints, d.prepared.gravity
+        return range_space_problem(d, context, tau, f_ext)
+    joints, gravity = context.links.joints, d.prepared.gravity
 
-    def factor(now: Context, rows: Sequence[Row]) -> Solve:
+    def factor(context: Context, rows: Sequence[Row]) -> Solve:
         found = find_clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
-            delassus = factor_delassus(d, factorize(d, joints), now, rows)
+            delassus = factor_delassus(d, factorize(d, joints), context, rows)
             force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: delassus.solve(force if f is None else f, c)
         moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
@@ -252,7 +254,7 @@ class ClusterTree:
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """Return the force on a link, including the forces of its clusters."""
+            """Return the force on a link, including the forces of clusters whose parent it is."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))

@@ -36,9 +36,9 @@ from rbjax.model.record import check_fields, floats
 NEWTON_STEPS = 8
 
 
-def _position(a: Place, b: Place, now: Context) -> list[Row]:
+def _position(a: Place, b: Place, context: Context) -> list[Row]:
     """Build the three rows of the origin of b in a's axes."""
-    A, B = a.frame(now), b.frame(now)
+    A, B = a.frame(context), b.frame(context)
     return [along(A, u, B) for u in AXES]
 
 
@@ -73,11 +73,11 @@ class PointOnSurface(Constraint):
         check_places(self)
         check_functions(self, "f")
 
-    def rows(self, now: Context) -> Sequence[Row]:
+    def rows(self, context: Context) -> Sequence[Row]:
         def height(x: jax.Array) -> jax.Array:
             return evaluate("PointOnSurface: f", self.f, self.numbers, (x,), (), x.dtype)[None]
 
-        return function_of(_position(self.a, self.b, now), height, now.q.dtype)
+        return function_of(_position(self.a, self.b, context), height, context.q.dtype)
 
 
 class PointOnCurve(Constraint):
@@ -126,12 +126,12 @@ class PointOnCurve(Constraint):
         """Return the parameter () of the curve's point nearest to x (3,). It is differentiable."""
         return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
 
-    def rows(self, now: Context) -> Sequence[Row]:
+    def rows(self, context: Context) -> Sequence[Row]:
         def components(x: jax.Array) -> jax.Array:
             c, dc = _with_slope(self.point, self.nearest(x))
             return jnp.stack([_inner(n, x - c) for n in _normals(dc)])
 
-        return function_of(_position(self.a, self.b, now), components, now.q.dtype)
+        return function_of(_position(self.a, self.b, context), components, context.q.dtype)
 
 
 def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
@@ -158,7 +158,7 @@ def _nearest(c: Callable) -> Callable:
     """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return F(x, s) and |c'|^2."""
+        """Return F(x, s), whose root is the nearest parameter s, and |c'(s)|^2 of the curve."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 

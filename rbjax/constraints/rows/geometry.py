@@ -35,20 +35,23 @@ X, Y, Z = (Vec3(*(float(i == k) for i in range(3))) for k in range(3))
 AXES = (X, Y, Z)
 
 
-def time(now: Context) -> Row:
+def time(context: Context) -> Row:
     """Return the row whose value is the time t."""
-    return Row(now.t, 1.0, Loads(), 0.0)
+    return Row(context.t, 1.0, Loads(), 0.0)
 
 
-def coordinate(now: Context, joint: str | int, k: int = 0) -> Row:
+def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
     """Return the row of coordinate k of a joint: a hinge, a slide or a chain of them."""
-    j = now.joint(joint)
+    j = context.joint(joint)
     i = j.start + k
-    return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if now.a is None else now.a[i])
+    return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if context.a is None else context.a[i])
 
 
 def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
-    """Return d = p_B - p_A and its first two time derivatives, in world axes."""
+    """Return the vector from the origin of A to the origin of B and its first two time derivatives.
+
+    They are in world axes.
+    """
     return (
         B.position - A.position,
         B.velocity - A.velocity,
@@ -63,7 +66,7 @@ def opposed(action: Loads, reaction: Loads) -> Loads:
 
 
 def displacement(A: Frame, B: Frame) -> list[Row]:
-    """Return the three rows of p_B - p_A, in world axes."""
+    """Return the three rows of p_B - p_A, the vector from A's to B's origin, in world axes."""
     d, rate, acceleration = _relative(A, B)
     return [
         Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), acceleration[k])
@@ -72,7 +75,7 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:
-    """Return the row u . (p_B - p_A), with u in A's axes."""
+    """Return the row u . (p_B - p_A), with u in A's axes and the origins p of both frames."""
     u, w = A.rotation @ u, A.angular_velocity
     d, rate, acceleration = _relative(A, B)
     du = w.cross(u)
@@ -101,8 +104,8 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """Return the row sqrt(d^2 + least^2), with d = |p_B - p_A|. It is smooth at d = 0 if `least` is
-    not zero. Otherwise its gradient at d = 0 is set to zero."""
+    """Return the row sqrt(d^2 + least^2), with the distance d of the origins of both frames. It is
+    smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero."""
     d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
     positive = square > 0

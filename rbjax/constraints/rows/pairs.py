@@ -49,6 +49,8 @@ NEAR = 1e-5
 class Pair(Constraint):
     """Base class of joints between two frames that close a kinematic loop.
 
+    Origin and axes of the frame on body a are p_a, x_a and z_a, of the frame on b p_b, x_b, z_b.
+
     Fields:
         a, b: `Place`s on the two bodies.
 
@@ -96,10 +98,10 @@ class Pair(Constraint):
                 f"{cls.__name__}.between: got the numbers {sorted(numbers)}, expected {fields}"
             ) from error
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return self.between_frames(self.a.frame(now), self.b.frame(now), now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        return self.between_frames(self.a.frame(context), self.b.frame(context), context)
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
         """Build the rows of the joint between two frames."""
         return [row for primitive in self.primitives for row in primitive(A, B)]
 
@@ -120,9 +122,9 @@ class HalfAngle(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.of.a.frame(now), self.of.b.frame(now)
-        rows = list(self.of.between_frames(A, B, now))
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.of.a.frame(context), self.of.b.frame(context)
+        rows = list(self.of.between_frames(A, B, context))
         # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
         scale = trace(A, B).apply(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
         turns = range(*self.of.turns.indices(len(rows))) if self.of.turns else ()
@@ -130,28 +132,28 @@ class HalfAngle(Constraint):
 
 
 def trace(A: Frame, B: Frame) -> Row:
-    """Return the row of the trace 1 + 2 cos(x) of the rotation between two frames."""
+    """Return the row of the trace of the relative rotation: 1 + 2 cos(x) for the angle x."""
     x, y, z = (cosine(A, e, B, e) for e in AXES)
     return x + y + z
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of z_b parallel to z_a."""
+    """Return two rows that are zero if the z axes of two frames are parallel."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
 def orthogonal(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of z_b orthogonal to x_a."""
+    """Return the row that is zero if the z axis of B is orthogonal to the x axis of A."""
     return [cosine(A, X, B, Z)]
 
 
 def on_axis(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of p_b on the axis z_a."""
+    """Return two rows that are zero if the origin of B is on the z axis of A."""
     return [along(A, X, B), along(A, Y, B)]
 
 
 def in_plane(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of p_b in the plane through p_a that is orthogonal to z_a."""
+    """Return the row that is zero if the origin of B is in the x-y plane of A."""
     return [along(A, Z, B)]
 
 
@@ -203,8 +205,8 @@ class Screw(Pair):
                 "without a pitch the joint is a Revolute"
             )
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        lead = scalar(self.pitch, context.q.dtype) / (2 * math.pi)
         angle_ = along(A, Z, B) * (1.0 / lead)
         sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
         s, c = angle_.apply(jnp.sin), angle_.apply(jnp.cos)
@@ -327,8 +329,8 @@ class Distance(Pair):
     def __check_init__(self) -> None:
         check_number(self, "length", positive=True)
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [distance(A, B) - scalar(self.length, now.q.dtype)]
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        return [distance(A, B) - scalar(self.length, context.q.dtype)]
 
 
 class QuaternionWeld(Pair):
@@ -349,8 +351,8 @@ class QuaternionWeld(Pair):
         super().__check_init__()
         check_number(self, "scale")
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        scale = scalar(self.scale, now.q.dtype)
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        scale = scalar(self.scale, context.q.dtype)
         # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
         half = trace(A, B).apply(lambda c: 1 / jnp.sqrt(1 + c))
         return [*displacement(A, B), *(row * half * scale for row in turn(A, B))]

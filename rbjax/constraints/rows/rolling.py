@@ -85,9 +85,9 @@ class Rolling(Constraint):
         check_places(self)
         check_number(self, "radius", positive=True)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.a.frame(now), self.b.frame(now)
-        height, arm = self.contact(A, B, scalar(self.radius, now.q.dtype))
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.a.frame(context), self.b.frame(context)
+        height, arm = self.contact(A, B, scalar(self.radius, context.q.dtype))
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
@@ -165,8 +165,8 @@ class KnifeEdge(Constraint):
     def __check_init__(self) -> None:
         check_places(self)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.a.frame(now), self.b.frame(now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.a.frame(context), self.b.frame(context)
         (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
         arm = Vec3.zero(), Vec3.zero()
         return slip(A, B, arm, [(n.cross(d), dn.cross(d) + n.cross(dd))])

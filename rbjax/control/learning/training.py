@@ -36,7 +36,10 @@ OPTIMISED_FROM = 2000
 def run_iterations(
     where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
 ) -> tuple[Any, jax.Array]:
-    """Run all iterations from begin(*given), in one program or in chunks that report progress."""
+    """Run all iterations x_{k+1}, c_k = turn(x_k) from x_0 = begin(*given).
+
+    They are one program, or chunks that report progress.
+    """
     quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     first = jit(lambda n, *given: jax.lax.scan(turn, begin(*given), None, n), static_argnums=0)
@@ -83,7 +86,9 @@ def through_time(
     optimiser: Any = None,
     progress: bool = False,
 ) -> Trained:
-    """Train a policy by back-propagation through whole episodes, for gains and short motions.
+    """Train a policy by back-propagation through whole episodes.
+
+    Use it for a few gains, or for short episodes. For long ones use `actor_critic`.
 
     It minimises over theta the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of
     initial states, which are drawn again in each iteration.

@@ -104,7 +104,7 @@ def first_guess(
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[Knot, jax.Array]:
-    """Roll out from the start with feedback about knots."""
+    """Roll out the controls from the start, with feedback K on the deviation from the knots."""
     first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)

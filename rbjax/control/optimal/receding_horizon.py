@@ -58,7 +58,7 @@ class PlannedControl(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The memory of a controller: the last plan and its gains du = +K dx."""
+    """The memory of a controller between ticks: the last plan, and its gains K of du = K dx."""
 
     knots: Knot  # (N + 1, ...)
     ctrls: jax.Array  # (N, nu)
@@ -232,7 +232,7 @@ class PredictiveController:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array:
-        """Return the largest gap of a plan; 0 without constraints, which do not need it."""
+        """Return the largest gap of a plan, or 0 without constraints, if a gap has no effect."""
         return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
@@ -280,7 +280,8 @@ class PredictiveController:
         return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """Return the control of a tick: planned with feedback, or from the fallback."""
+        """Return the control of a tick: the planned control with feedback, or the fallback
+        policy's."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

@@ -109,7 +109,7 @@ class ConstantRobots:
 
 
 def _forget(found: dict) -> None:
-    """Remove the oldest entries, so that there is space for one more."""
+    """Remove the oldest entries of a cache, to make space for one more."""
     while len(found) >= REMEMBERED:
         del found[next(iter(found))]
 
@@ -270,7 +270,7 @@ _robots = ConstantRobots()
 
 
 def _as_number(x: Any) -> Any:
-    """Return x as a valid argument of a compiled function."""
+    """Convert x to an array. Python numbers are unchanged."""
     return x if isinstance(x, int | float) else jnp.asarray(x)
 
 

@@ -191,7 +191,7 @@ LEFT = ("acceleration", "factors")
 
 
 def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
-    """Name the acceleration and the factors for `jax.checkpoint` policies (`LEFT`)."""
+    """Name the acceleration and the factors (`LEFT`), for policies of `jax.checkpoint`."""
 
     def named(f: Factor) -> Factor:
         U, inverse_D = jax.tree.map(

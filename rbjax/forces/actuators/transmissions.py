@@ -33,9 +33,9 @@ class Reach(NamedTuple):
     length: Lane
     arms: Arms
 
-    def speed(self, now: Context) -> Lane:
+    def speed(self, context: Context) -> Lane:
         """Compute the rate l' of the length."""
-        return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
+        return total(mul(arm, context.v[n]) for n, arm in self.arms.items())
 
     def scaled(self, gear: Lane) -> Reach:
         """Multiply the length and the moment arms by a gear ratio."""
@@ -46,7 +46,7 @@ class Transmission(Record):
     """Base class of a map from a configuration to a length and moment arms."""
 
     @abc.abstractmethod
-    def reach(self, now: Context) -> Reach:
+    def reach(self, context: Context) -> Reach:
         """Compute the length and the moment arms at an instant."""
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
@@ -66,8 +66,8 @@ class JointAxis(Transmission):
     joint: int = eqx.field(static=True)
     in_parent: bool = eqx.field(static=True, default=False)
 
-    def reach(self, now: Context) -> Reach:
-        return joint_reach(now, self.joint, numbers(self.gear, now.q.dtype), self.in_parent)
+    def reach(self, context: Context) -> Reach:
+        return joint_reach(context, self.joint, numbers(self.gear, context.q.dtype), self.in_parent)
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[:3]).norm()
@@ -79,9 +79,9 @@ class SiteWrench(Transmission):
     gear: jax.Array
     site: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        force, torque = split_gear(numbers(self.gear, now.q.dtype))
-        return Reach(0.0, now.site(self.site).arms(Force(torque, force)))
+    def reach(self, context: Context) -> Reach:
+        force, torque = split_gear(numbers(self.gear, context.q.dtype))
+        return Reach(0.0, context.site(self.site).arms(Force(torque, force)))
 
 
 class SitePose(Transmission):
@@ -91,14 +91,14 @@ class SitePose(Transmission):
     site: int = eqx.field(static=True)
     reference: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        site, base = now.site(self.site), now.site(self.reference)
-        force, torque = split_gear(numbers(self.gear, now.q.dtype))
+    def reach(self, context: Context) -> Reach:
+        site, base = context.site(self.site), context.site(self.reference)
+        force, torque = split_gear(numbers(self.gear, context.q.dtype))
         length: Lane = 0.0
         if not all(map(is_zero, force)):
             length = force.dot(base.rotation.T @ (site.position - base.position))
         if not all(map(is_zero, torque)):
-            turned = quaternion.log_lanes(relative_quaternion(site, base, now.q.dtype))
+            turned = quaternion.log_lanes(relative_quaternion(site, base, context.q.dtype))
             length = add(length, torque.dot(Vec3(*turned)))
         force, torque = base.rotation @ force, base.rotation @ torque
         return Reach(length, arms_between(site, base, force, torque))
@@ -117,9 +117,9 @@ class SliderCrank(Transmission):
     crank: int = eqx.field(static=True)
     slider: int = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        dtype = now.q.dtype
-        crank, slider = now.site(self.crank), now.site(self.slider)
+    def reach(self, context: Context) -> Reach:
+        dtype = context.q.dtype
+        crank, slider = context.site(self.crank), context.site(self.slider)
         rod = scalar(self.rod, dtype)
         axis, r = slider.rotation.columns[2], crank.position - slider.position
         along = axis.dot(r)
@@ -143,12 +143,12 @@ class JointSum(Transmission):
     coefficients: jax.Array
     joints: tuple[int, ...] = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        top, out = now.model.topology, Reach(0.0, {})
-        for c, j in zip(numbers(self.coefficients, now.q.dtype), self.joints, strict=True):
-            length = add(out.length, mul(c, now.q[top.joint_q[j]]))
+    def reach(self, context: Context) -> Reach:
+        top, out = context.model.topology, Reach(0.0, {})
+        for c, j in zip(numbers(self.coefficients, context.q.dtype), self.joints, strict=True):
+            length = add(out.length, mul(c, context.q[top.joint_q[j]]))
             out = Reach(length, add_arms(out.arms, {top.joint_v[j]: c}))
-        return out.scaled(numbers(self.gear, now.q.dtype)[0])
+        return out.scaled(numbers(self.gear, context.q.dtype)[0])
 
 
 class SitePath(Transmission):
@@ -158,10 +158,10 @@ class SitePath(Transmission):
     divisors: jax.Array
     segments: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
-    def reach(self, now: Context) -> Reach:
-        dtype, out = now.q.dtype, Reach(0.0, {})
+    def reach(self, context: Context) -> Reach:
+        dtype, out = context.q.dtype, Reach(0.0, {})
         for divisor, (a, b) in zip(numbers(self.divisors, dtype), self.segments, strict=True):
-            start, end = now.site(a), now.site(b)
+            start, end = context.site(a), context.site(b)
             r = end.position - start.position
             square = jnp.asarray(r.dot(r), dtype)
             some = square > 0
@@ -173,9 +173,9 @@ class SitePath(Transmission):
         return out.scaled(numbers(self.gear, dtype)[0])
 
 
-def joint_reach(now: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
+def joint_reach(context: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
     """Compute the length and moment arms of a gear (6 lanes) on a joint."""
-    top, q = now.model.topology, now.q
+    top, q = context.model.topology, context.q
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
     if not top.joints[joint].quaternion:
         arms = gear[: top.joints[joint].nv]

@@ -143,9 +143,11 @@ def write_actuators(draft: Draft) -> list[Element]:
 
 
 def _shortest(row: Actuator) -> Actuator:
-    """Simplify a row of `model.actuators`: no bias if it is zero, and then a constant gain. With a
-    bias the gain stays affine, as MuJoCo treats a constant gain with a bias as a servo on an
-    angle."""
+    """Simplify a row of `model.actuators` for MJCF.
+
+    A zero bias is omitted, and the gain is then constant. With a bias the gain stays affine,
+    because MuJoCo treats a constant gain with a bias as a servo on an angle.
+    """
     law: Any = row.law
     bias = law.bias if law.bias.coefficients.any() else None
     constant = bias is None and not law.gain.coefficients[1:].any()

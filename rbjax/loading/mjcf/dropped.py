@@ -111,7 +111,7 @@ def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def with_cure(entry: str) -> str:
-    """Append to an entry how to keep the feature, if that is possible."""
+    """Append to an entry of `Model.dropped` the option that keeps the feature, if there is one."""
     return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
                 entry)  # fmt: skip
 

@@ -148,3 +148,10 @@ def _wraps(m: mujoco.MjModel, tendon: int) -> bool:
     at = int(m.tendon_adr[tendon])
     kinds = m.wrap_type[at : at + int(m.tendon_num[tendon])]
     return bool(np.isin(kinds, (Wrap.SPHERE, Wrap.CYLINDER)).any())
+
+
+def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:
+    """Return solref with a time constant of two time steps or more, unless refsafe is off."""
+    if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
+        return np.array([max(solref[0], 2 * m.opt.timestep), solref[1]])
+    return solref

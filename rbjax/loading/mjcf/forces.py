@@ -35,11 +35,11 @@ from rbjax.forces import (
     Place,
     PointSpring,
 )
+from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
-from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected
+from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected, safe_solref
 
-_IMPEDANCES = (1e-4, 0.9999)  # MuJoCo's range of d
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
 
@@ -57,7 +57,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
 
 
 def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """Return the dofs of joints, in the joints' order."""
+    """Return the indices of the dofs of joints, in the order of the joints."""
     spans = [m.jnt_dofadr[j] + np.arange(_SIZES.get(int(m.jnt_type[j]), 1)) for j in joints]
     return np.concatenate([np.zeros(0, int), *spans])
 
@@ -89,8 +89,9 @@ def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
     impedance's width."""
     mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
     width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
-    k, b = _reference(m, m.jnt_solref[joint], m.jnt_solimp[joint])
-    d = _impedance(m.jnt_solimp[joint], width / 2)
+    solref, solimp = safe_solref(m, m.jnt_solref[joint]), m.jnt_solimp[joint]
+    k, b = stiffness_and_damping(solref, solimp)
+    d = impedance(width / 2, solimp)
     stiffness = d * d * k / ((1 - d) * mobility)
     ratio = b / (2 * np.sqrt(k))
     return stiffness, 2 * ratio * np.sqrt(stiffness / mobility), max(width / 10, 1e-6)
@@ -103,8 +104,9 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
     at = _of(m, joints)
     loss, creep = m.dof_frictionloss[at], []
     for i in at:
-        d = _impedance(m.dof_solimp[i], 0.0)
-        soft = (1 - d) / d / _reference(m, m.dof_solref[i], m.dof_solimp[i])[1]
+        d = impedance(0.0, m.dof_solimp[i])
+        _, damping = stiffness_and_damping(safe_solref(m, m.dof_solref[i]), m.dof_solimp[i])
+        soft = (1 - d) / d / max(damping, mujoco.mjMINVAL)
         creep.append(m.dof_invweight0[i] * max(soft, 2 * m.opt.timestep))
     return [
         JointFriction(
@@ -116,34 +118,6 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
             joints=tuple(joints.tolist()),
         )
     ]
-
-
-def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
-    """Compute k and b of a_ref = -b v - k d r."""
-    top = float(np.clip(solimp[1], *_IMPEDANCES))
-    if solref[0] <= 0:
-        return -solref[0] / top**2, -solref[1] / top
-    time, ratio = solref
-    if is_on(m, Off.mjDSBL_REFSAFE):
-        time = max(time, 2 * m.opt.timestep)
-    return 1 / max(mujoco.mjMINVAL, (top * time * ratio) ** 2), 2 / max(mujoco.mjMINVAL, top * time)
-
-
-def _impedance(solimp: np.ndarray, depth: float) -> float:
-    """Compute the impedance d at a depth. It rises from solimp's first number to its second over
-    the width, by two power functions that meet at the midpoint."""
-    low, high = np.clip(solimp[:2], *_IMPEDANCES)
-    width, middle = max(solimp[2], 0.0), float(np.clip(solimp[3], *_IMPEDANCES))
-    power = max(solimp[4], 1.0)
-    if low == high or width <= mujoco.mjMINVAL:
-        return float(low + high) / 2
-    x = min(depth / width, 1.0)
-    share = x
-    if power > 1 and x < 1:
-        near = x <= middle
-        share = x**power / middle ** (power - 1)
-        share = share if near else 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
-    return float(low + share * (high - low))
 
 
 def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:

@@ -98,8 +98,8 @@ def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> ja
     drives = len(vehicle.robot.drives)
 
     def accelerations(tau):
-        now = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
-        return stack_lanes(vehicle.accelerations(now), q.dtype)
+        context = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
+        return stack_lanes(vehicle.accelerations(context), q.dtype)
 
     none = jnp.zeros(drives, q.dtype)
     most = limits.torques(vehicle).astype(q.dtype)
@@ -175,7 +175,8 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Replace unknown rows of (n, k) by the last known row, or else by the first known row."""
+    """Fill unknown rows of an array (n, k) with the last known row, or else with the first known
+    row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]
@@ -193,8 +194,8 @@ def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Arra
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 
     def slope(q, v, bend):
-        now = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
-        return stack_lanes(vehicle.coordinate_rates(now), q.dtype)
+        context = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
+        return stack_lanes(vehicle.coordinate_rates(context), q.dtype)
 
     def over(q, step):
         size, turn, bend, nu0, nu1 = step

@@ -68,7 +68,8 @@ def solve(
         return _Point(d, y, s, *(x + b * dx for x, dx in zip(p[3:], step[3:], strict=True)))
 
     def longest(p: _Point, step: _Point) -> tuple[jax.Array, jax.Array]:
-        """Compute the longest steps of (d, y, s) and of the multipliers that keep all positive."""
+        """Compute the longest steps of (d, y, s) and of the multipliers that keep all of them
+        positive."""
         rates = [
             (step.y, step.l), (step.s, -step.l), (step.d, step.zl), (-step.d, step.zu)
         ]  # fmt: skip

@@ -61,7 +61,7 @@ class Shooting(NamedTuple):
         start: (nz,), the initial state.
         goal: (3,), the goal pose.
         field, footprint: None without a map.
-        due: (n parts, discs), the required clearances, m.
+        due: (n * parts, discs), the required clearances, m.
         parts: steps of an interval, static.
     """
 
@@ -89,8 +89,8 @@ class Shooting(NamedTuple):
         return State(jnp.zeros(self.vehicle.nq, z.dtype).at[:m].set(z[:m]), z[m:])
 
     def rates(self, z: jax.Array, u: jax.Array) -> jax.Array:
-        now = self.vehicle.context(self.state(z), u)
-        q, v, _ = self.vehicle.rates(now)
+        context = self.vehicle.context(self.state(z), u)
+        q, v, _ = self.vehicle.rates(context)
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
@@ -134,8 +134,8 @@ class Shooting(NamedTuple):
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Compute the twist (3,) of the chassis."""
-        now = self.vehicle.context(self.state(z))
-        return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
+        context = self.vehicle.context(self.state(z))
+        return stack_lanes(self.vehicle.full_velocities(context)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
         """Compute the clearance of each disc, m."""
@@ -143,13 +143,16 @@ class Shooting(NamedTuple):
         return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
     def rows(self, w: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Evaluate e (3 + nv,) and b (rows,)."""
+        """Evaluate the end constraints e (3 + nv,) and the path constraints b (rows,)."""
         z = self.states(w)
         flat = z.reshape(-1, z.shape[-1])
         return self.equal(flat[-1]), jax.vmap(self.below)(flat, self.due).ravel()
 
     def linear(self, w: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        """Evaluate (e, de/dw) and (b, db/dw), with w flattened."""
+        """Evaluate end constraints e, path constraints b and derivatives: (e, de/dw), (b, db/dw).
+
+        w is flattened.
+        """
         z = self.states(w)
         n, parts, nz = z.shape
         before = jnp.concatenate([self.start[None], z[:-1, -1]])

@@ -45,10 +45,10 @@ def _semi_implicit_euler(
 ) -> Lists:
     """Step by v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = RobotContext(p, q, v, x, u)
-    v = _plus(v, model.accelerations(now), h)
-    x = _plus(x, model.tyre_rates(now), h)
-    return _plus(q, model.coordinate_rates(now.with_velocities(v, x)), h), v, x
+    context = RobotContext(p, q, v, x, u)
+    v = _plus(v, model.accelerations(context), h)
+    x = _plus(x, model.tyre_rates(context), h)
+    return _plus(q, model.coordinate_rates(context.with_velocities(v, x)), h), v, x
 
 
 def _linearly_implicit_euler(
@@ -56,8 +56,8 @@ def _linearly_implicit_euler(
 ) -> Lists:
     """Step by v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = RobotContext(p, q, v, x, u)
-    then = now.with_velocities(_plus(v, model.damped_accelerations(now, h), h), x)
+    context = RobotContext(p, q, v, x, u)
+    then = context.with_velocities(_plus(v, model.damped_accelerations(context, h), h), x)
     x = _plus(x, model.tyre_rates(then), h)
     return _plus(q, model.coordinate_rates(then), h), then.v, x
 
@@ -202,14 +202,14 @@ _compiled = compiled(_run, jit=eqx.filter_jit)
 
 def _states(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) -> State:
     """Compute the states (T, nq), (T, nv), (T, nx) of one sample."""
-    now = model.context(state)
+    context = model.context(state)
     dtype = state.q.dtype
 
     def once(y: Lists, i: Any) -> tuple[Lists, None]:
         u = ctrl(i * dt, as_state(*y, dtype)) if callable(ctrl) else ctrl[i]
         u = jnp.asarray(u, dtype)
         given = [u[k] for k in range(model.nu)]
-        return advance(model, now.n, y, given, dt, how.integrator), None
+        return advance(model, context.n, y, given, dt, how.integrator), None
 
     def segment(y: Lists, first: Any) -> tuple[Lists, Lists]:
         if how.save_every == 1:
@@ -218,7 +218,7 @@ def _states(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) ->
             y, _ = jax.lax.scan(jax.checkpoint(once), y, first + jnp.arange(how.save_every))
         return y, y
 
-    begin = (now.q, now.v, now.x)
+    begin = (context.q, context.v, context.x)
     starts = jnp.arange(0, how.steps, how.save_every)
     _, path = jax.lax.scan(jax.checkpoint(segment), begin, starts)
 
@@ -312,6 +312,6 @@ class _Field(eqx.Module):
     def __call__(self, t: Any, state: State, args: Any) -> State:
         model, ctrl = args
         u = ctrl(self.start + t, state) if callable(ctrl) else ctrl
-        now = model.context(state, jnp.asarray(u, state.q.dtype))
-        q, v, x = model.rates(now)
+        context = model.context(state, jnp.asarray(u, state.q.dtype))
+        q, v, x = model.rates(context)
         return as_state(q, v, x, state.q.dtype)

@@ -90,7 +90,7 @@ def differentiable(
 
 
 def _traced(x: Any) -> bool:
-    """Return whether x is traced and may need a derivative. Other values are constants."""
+    """Return whether x is traced. Only traced values may need a derivative."""
     return isinstance(x, jax.core.Tracer)
 
 

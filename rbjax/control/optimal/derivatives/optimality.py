@@ -68,7 +68,7 @@ class Functions(NamedTuple):
 
 
 class PrimalDualPoint(NamedTuple):
-    """The point of a derivative: knots, controls, multipliers of path and end constraints."""
+    """The point at which an optimum is differentiated: knots, controls and multipliers."""
 
     knots: Knot
     ctrls: jax.Array
@@ -91,7 +91,7 @@ class KKTPoint(NamedTuple):
 
 
 def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
-    """Solve K z = r for z."""
+    """Solve the KKT system K z = r for the unknowns z."""
     e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # one array, as the transpose rule needs
 
@@ -255,7 +255,7 @@ class KKTSystem:
         return g._replace(u=e.free * g.u, path=e.path * g.path, end=e.end * g.end)
 
     def lagrangian(self, parameters: tuple, kkt: KKTPoint, z: Unknowns | None = None) -> jax.Array:
-        """Return L at the point (+) z, with the active rows only."""
+        """Return the Lagrangian at the point (+) z, with active constraint rows only."""
         point, z = kkt.point, jax.tree.map(jnp.zeros_like, kkt.gradient) if z is None else z
         (ks, body, _, following), last = self.knots(point)
 

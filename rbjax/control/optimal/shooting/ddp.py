@@ -107,7 +107,7 @@ def forward_pass(
 def _rollouts(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Rollout:
-    """Roll out steps of all lengths."""
+    """Roll out trial steps of all step lengths."""
     lengths = jnp.asarray(LENGTHS, now.ctrls.dtype)
     run = threads(functools.partial(forward_pass, problem))
     return jax.vmap(run, (None,) * 5 + (0,))(
@@ -118,7 +118,7 @@ def _rollouts(
 def _take_rollout(
     problem: Problem, now: Iterate, trials: Rollout, decided: Decision
 ) -> tuple[Knot, jax.Array]:
-    """Return the motion of the accepted trial."""
+    """Return the knots and controls of the accepted trial."""
     return jax.tree.map(
         lambda new, old: jnp.where(decided.accepted, new[decided.best], old),
         (trials.knots, trials.ctrls), (now.knots, now.ctrls),
@@ -128,7 +128,7 @@ def _take_rollout(
 def _decreases_as_expected(
     values: IterationValues, lengths: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of trials with the predicted change of cost, and the expected decrease."""
+    """Return a mask of trials that decrease the cost as predicted, and that decrease."""
     cross = values.more
     slope, curvature = values.slope + cross, values.curvature - 2 * cross
     expected = lengths * (slope + 0.5 * lengths * curvature)

@@ -141,7 +141,7 @@ class Draw(NamedTuple):
 
 
 class Round(NamedTuple):
-    """The state of a sampling method between two rounds."""
+    """The state of a sampling method between two rounds: distribution, best sample, its cost."""
 
     mean: Draw
     deviation: Draw

@@ -51,7 +51,7 @@ MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost
 
 
 class SearchState(NamedTuple):
-    """The state of a search between two iterations. Each field is ()."""
+    """The state of a search between two iterations: costs, tolerances, counters, each ()."""
 
     feasible: jax.Array  # true if the motion has no gaps
     reg: jax.Array  # the regularisation
@@ -69,7 +69,7 @@ class SearchState(NamedTuple):
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration that determine its decision."""
+    """Cost, gap, violation and slopes of an iteration, and the costs of its trial steps."""
 
     cost: jax.Array  # (), of the present motion
     gap: jax.Array  # ()
@@ -84,7 +84,7 @@ class IterationValues(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The decision of an iteration. Each field is ()."""
+    """The outcome of an iteration: the accepted trial step and the next state of the search."""
 
     search: SearchState  # the state after the iteration
     best: jax.Array  # the index of a trial
@@ -183,7 +183,11 @@ def decide(
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Return whether the expected decrease is small and, with regularisation, the gradient too."""
+    """Return whether the search has converged, by the expected decrease and the gradient.
+
+    The gradient must be small only if the control Hessians are regularised.
+    share: factor of the tolerance, the scale of the cost.
+    """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
 

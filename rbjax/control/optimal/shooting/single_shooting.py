@@ -143,7 +143,8 @@ class InnerResult(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The unknowns of lowest cost, with cost, stationarity and whether that is small, () each."""
+    """The unknowns of lowest cost, with their cost and gradient norm, and whether the norm is
+    small."""
 
     w: Unknowns
     cost: jax.Array

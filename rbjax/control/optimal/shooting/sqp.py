@@ -91,7 +91,7 @@ def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
 def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
-    """Evaluate the trials of all lengths at all knots."""
+    """Evaluate trial steps of all step lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
@@ -165,7 +165,7 @@ def _take_linear_step(
 
 
 def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of the acceptable trials of least phi, and the expected decrease."""
+    """Return a mask of acceptable trials of least merit phi, and the expected decrease."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
