@@ -40,9 +40,10 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
         return X.rigid_to_parent(I_c), (X, F)
 
     ys = d.whole(d.inward(step, RigidInertia.zero(), d.zip(d.constants, joints)))
-    axes = [joint.S for joint in d.whole(joints)]
+    motions = d.whole(joints)
+    axes = [joint.S for joint in motions]
     armatures = [link.armature for link in d.whole(d.constants)]
-    modes = [joint.modal.momentum(joint.S, 1.0)[1] for joint in d.whole(joints)]
+    modes = [joint.modal.momentum(joint.S, 1.0)[1] for joint in motions]
     n = len(axes)
     M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     for i, (X, F) in enumerate(ys):
