@@ -102,7 +102,7 @@ def row(name: str, method: str, problem: Problem, start: Any, guesses: jax.Array
 
     def one(ctrls: jax.Array) -> tuple:
         s = solve(
-            problem, start, method=method, ctrls=ctrls, iterations=BUDGET.get(method, 300),
+            problem, start, method=method, ctrl=ctrls, iterations=BUDGET.get(method, 300),
             tolerance=1e-8,
         )  # fmt: skip
         return s.status, s.iterations, s.cost, s.gap

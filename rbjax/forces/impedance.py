@@ -27,13 +27,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, add, is_literal, mul
+from rbjax.model.solver_parameters import SOLREF
 
 #: MuJoCo's limits of d_0, d_w and of the midpoint m
 IMPEDANCES = 1e-4, 0.9999
 #: MuJoCo's smallest width, denominator and regularisation
 LEAST = 1e-15
-SOLREF = (0.02, 1.0)
-SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 
 def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:

@@ -33,9 +33,9 @@ from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_can
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
-from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
 from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -204,6 +204,7 @@ def from_compiled(
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array),
+        solver=solver_parameters(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),
@@ -246,6 +247,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         solimp=array(m.geom_solimp),
         margin=array(m.geom_margin),
         gap=array(m.geom_gap),
+        solmix=array(m.geom_solmix),
         names=names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom),
         types=tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type),
         bodies=static(m.geom_bodyid - 1),
@@ -255,7 +257,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
-        pairs=contact_pairs(m),
+        **pair_fields(m, array),
     )
 
 

@@ -21,9 +21,10 @@ from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
-from rbjax.model.record import EXECUTION, Execution
+from rbjax.model.record import EXECUTION, Execution, cast_floats
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
+from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 
@@ -160,6 +161,7 @@ class Model(Record):
     #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
     geoms: Geoms | None = None  # None if the model is not from a file
+    solver: SolverParameters | None = None  # as geoms
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -310,11 +312,7 @@ class Model(Record):
         if not floating:
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
 
-        def cast(x: Any) -> Any:
-            floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
-            return jnp.asarray(x, dtype) if floating else x
-
-        return jax.tree.map(cast, self.replace(constants=None))
+        return cast_floats(self.replace(constants=None), dtype)
 
     def default_state(self) -> State:
         """Return the state at rest in the configuration in which the file draws the robot."""

@@ -47,8 +47,8 @@ def test_rest_to_rest_costs_what_the_closed_form_says(n):
     s = solve(rest_to_rest(n), jnp.zeros(2), violation=1e-11, tolerance=1e-14)
     assert s.success
     np.testing.assert_allclose(s.cost, 12 * n**2 / (n**2 - 1), rtol=1e-9)
-    np.testing.assert_allclose(np.diff(s.ctrls[:, 0], 2), 0.0, atol=1e-7)  # linear in time
-    np.testing.assert_allclose(s.ctrls[0, 0], -s.ctrls[-1, 0], rtol=1e-8)
+    np.testing.assert_allclose(np.diff(s.ctrl[:, 0], 2), 0.0, atol=1e-7)  # linear in time
+    np.testing.assert_allclose(s.ctrl[0, 0], -s.ctrl[-1, 0], rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_the_acrobot_ends_upright(method):
     )
     for seed in range(4):
         ctrls = min(seed, 1) * 2 * np.random.default_rng(seed).normal(size=(100, 1))
-        s = solve(problem, model.keyframe("down"), method=method, ctrls=ctrls, iterations=1000)
+        s = solve(problem, model.keyframe("down"), method=method, ctrl=ctrls, iterations=1000)
         assert s.success and s.violation <= 1e-6
         end = StateError(model.keyframe("up"))(model, 0.0, s.state(-1), jnp.zeros(1))
         assert np.abs(end).max() <= 2e-6

@@ -43,7 +43,7 @@ def smooth(size=1.0, bounds=None):
 @pytest.mark.parametrize("method", STEPPING)
 def test_a_kink_is_not_called_an_optimum(method, dtype):
     with jax.enable_x64(dtype == "float64"):
-        starts = [solve(kinked(), jnp.zeros(1), ctrls=jnp.full((6, 1), g), method=method)
+        starts = [solve(kinked(), jnp.zeros(1), ctrl=jnp.full((6, 1), g), method=method)
                   for g in (0.0, 1.0, -2.0)]  # fmt: skip
         least = min(float(s.cost) for s in starts)
         for s in starts:
@@ -60,7 +60,7 @@ def test_the_unit_of_the_cost_does_not_decide(method):
     whole, small, large = (solve(smooth(c), jnp.zeros(2), method=method) for c in (1, 1e-9, 1e9))
     for s in (whole, small, large):
         assert s.success
-        np.testing.assert_allclose(s.ctrls, whole.ctrls, atol=1e-4)
+        np.testing.assert_allclose(s.ctrl, whole.ctrl, atol=1e-4)
 
 
 @pytest.mark.parametrize("method", STEPPING)
@@ -85,7 +85,7 @@ def test_bounds_that_never_bind_change_nothing_by_other_methods(method):
 
 def never_bind(method, rtol=1e-9):
     free = solve(smooth(), jnp.zeros(2), method=method)
-    most = 1.5 * float(np.abs(free.ctrls).max())
+    most = 1.5 * float(np.abs(free.ctrl).max())
     held = solve(smooth(bounds=(-most, most)), jnp.zeros(2), method=method)
     assert free.success and held.success
     np.testing.assert_allclose(held.cost, free.cost, rtol=rtol)

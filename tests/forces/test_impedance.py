@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from rbjax.forces.impedance import SOLREF, impedance, reference, regularisation
+from rbjax.forces.impedance import impedance, reference, regularisation
+from rbjax.model.solver_parameters import SOLREF
 
 #: standard, direct, without damping, mixed signs in both orders, and faster than two time steps
 REFERENCES = ["0.02 1", "-300 -20", "-300 0", "0.05 -3", "-5 0.3", "0.05 0", "0.001 0.5"]

@@ -40,11 +40,12 @@ from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.impedance import SOLIMP, SOLREF, impedance, reference, regularisation
+from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, sub
 from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 
 class Soft(Constraint):

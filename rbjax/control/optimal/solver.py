@@ -120,7 +120,7 @@ def solve(
     *,
     method: Any = "ddp",
     states: Any = None,
-    ctrls: Any = None,
+    ctrl: Any = None,
     parameters: Any = None,
     guess: Solution | None = None,
     iterations: int = 200,
@@ -139,9 +139,9 @@ def solve(
             are a first guess.
         method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
         states: a first guess of the states, with a leading axis N + 1, which need not obey the
-            dynamics. If None: the start at all knots; or, if ctrls are given, the motion under them
+            dynamics. If None: the start at all knots; or, if ctrl is given, the motion under them
             if it costs less.
-        ctrls: a first guess (N, nu) of the controls; zeros if None.
+        ctrl: a first guess (N, nu) of the controls; zeros if None.
         parameters: a first guess of the design parameters and, last, of the final time.
         guess: the `Solution` of a similar problem, instead of these three. The search starts from
             its motion, rolled out with its gains from the new start, and from its multipliers.
@@ -184,7 +184,7 @@ def solve(
     integer("solve", "iterations", iterations, least=1)
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         real_number("solve", name, value, least=0.0, finite=False, traced=True)
-    for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
+    for name, value in (("start", start), ("states", states), ("ctrl", ctrl),
                         ("parameters", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
@@ -192,7 +192,7 @@ def solve(
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _as_number
-    began = guess_of(problem, guess, states, ctrls, parameters)
+    began = guess_of(problem, guess, states, ctrl, parameters)
     rule = StoppingRule(number(tolerance), number(violation), number(iterations))
     options = Options(
         rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
@@ -287,7 +287,7 @@ def _solve(
     knots, ctrls = first_guess(problem, start, *guess[:4])
     found, off = _search(problem, start, knots, ctrls, options, method, history)
     parameters = found.knots.parameters[0]
-    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrl.dtype)
     ts = problem.time(ks, problem.at(parameters)[1])
     return found, off, ts, parameters
 
@@ -308,7 +308,7 @@ def _search(
         found = _without_derivative(search(problem, start, knots, ctrls, options))
     if found.violations is not None:
         return found, found.violations
-    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
+    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrl))
     # a penalty method may converge to a point that violates constraints
     rests = (found.status == CONVERGED) | (found.status == FINISHED)
     broken = (off > options.rule.violation).any() & rests

@@ -72,7 +72,7 @@ class PrimalDualPoint(NamedTuple):
     """The point at which an optimum is differentiated: knots, controls and multipliers."""
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     path: jax.Array
     end: jax.Array
 
@@ -123,9 +123,9 @@ class KKTSystem:
 
     def knots(self, point: PrimalDualPoint) -> tuple:
         """Return the arguments of `path` at all knots with controls, and the last knot."""
-        ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
+        ks = jnp.arange(self.problem.horizon, dtype=point.ctrl.dtype)
         body, following, last = (take(point.knots, at) for at in (BODY, NEXT, -1))
-        return (ks, body, point.ctrls, following), last
+        return (ks, body, point.ctrl, following), last
 
     # the equations
 
@@ -149,7 +149,7 @@ class KKTSystem:
 
     def at(self, point: PrimalDualPoint) -> KKTPoint:
         """Evaluate the KKT system at a point."""
-        n, m, dtype, system = self.n, self.m, point.ctrls.dtype, self.problem.system
+        n, m, dtype, system = self.n, self.m, point.ctrl.dtype, self.problem.system
         at, last = self.knots(point)
 
         def first(d: jax.Array, values: Callable[[jax.Array], KnotValues], nu: jax.Array) -> tuple:
@@ -177,7 +177,7 @@ class KKTSystem:
         l_0, (l, gu) = swept
         l = jnp.concatenate([l_0[None], l])
 
-        at_low, at_high = _active_bounds(point.ctrls, *self._bounds(self.parameters), gu)
+        at_low, at_high = _active_bounds(point.ctrl, *self._bounds(self.parameters), gu)
         parameters = point.knots.parameters[0]
         first_bounds = self._first_bounds(self.parameters)
         first_low, first_high = _active_bounds(parameters, *first_bounds, l_0[system.n :])
@@ -236,7 +236,7 @@ class KKTSystem:
     def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
         """Return the controls, with entries at an active bound replaced by the bound."""
         low, high = self._bounds(parameters)
-        u = jnp.where(kkt.at_low, low, kkt.point.ctrls)
+        u = jnp.where(kkt.at_low, low, kkt.point.ctrl)
         return jnp.where(kkt.at_high, high, u)
 
     def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:

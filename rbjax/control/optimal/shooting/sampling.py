@@ -124,7 +124,7 @@ class SampledStart:
         found = solve_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
         good = jnp.isfinite(found.cost)
         pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
-        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrls), (knots, ctrls))
+        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrl), (knots, ctrls))
         return solve_ddp(problem, start, knots, ctrls, options, history)
 
 

@@ -212,7 +212,7 @@ def gap_tolerance(dtype: Any) -> float:
 class Iterate(NamedTuple):
     """The iterate of a search.
 
-    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    knots, ctrl: the motion, (N + 1, ...) and (N, m).
     multipliers: of the constraints.
     K: gains, (N, m, n).
     search: the state of the search.
@@ -220,7 +220,7 @@ class Iterate(NamedTuple):
     """
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     multipliers: Multipliers
     K: jax.Array
     search: SearchState
@@ -251,11 +251,11 @@ def search(
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # L then has the augmented gradient
-        path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
-    at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
+        path, end = updated_multipliers(problem, last.knots, last.ctrl, last.multipliers)
+    at, cost = last.search, motion_cost(problem, last.knots, last.ctrl)
     return SearchResult(
-        last.knots, last.ctrls, cost, at.status, at.iterations, at.expected_decrease,
-        largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.knots, last.ctrl, cost, at.status, at.iterations, at.expected_decrease,
+        largest_gap(problem, start, last.knots, last.ctrl), at.violation, last.costs,
         last.K, path, end, penalty=last.multipliers.penalty,
     )  # fmt: skip
 
@@ -298,17 +298,15 @@ def iterate(
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short, so k obeys all bounds
         boxed = exact and policy.closes_gaps
-        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrl, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
-        full = plain(
-            add_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
-        )
+        full = plain(add_curvature(problem, now.knots, now.ctrl, now.multipliers, found), gaps, reg)
         return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
 
     def turn(now: Iterate) -> Iterate:
         at = now.search
-        found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        found = expand(problem, start, now.knots, now.ctrl, now.multipliers)
         gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
         gains = gains_at(now, found, gaps)
         trials = policy.trials(problem, now, found, gaps, gains)

@@ -92,7 +92,7 @@ def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
     """Evaluate trial steps of all step lengths at all knots."""
-    dtype, N = now.ctrls.dtype, problem.horizon
+    dtype, N = now.ctrl.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
 
@@ -141,7 +141,7 @@ def _trials(
     body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
-        knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
+        knot_indices(N, dtype), body, now.ctrl, l.path, step.dx[:-1], step.du,
         following, step.dx[1:], gaps[1:], gains.V[1:], gains.v[1:],
         (path.c, path.q, path.r), l.end, (found.end.c, found.end.q), l.penalty, lengths,
     )  # fmt: skip
@@ -160,7 +160,7 @@ def _take_linear_step(
 
     a, accepted = decided.length, decided.accepted
     knots = jax.vmap(threads(one), (0, 0, None, None))(now.knots, trials.step.dx, a, accepted)
-    ctrls = now.ctrls + jnp.where(accepted, a * trials.step.du, 0.0)
+    ctrls = now.ctrl + jnp.where(accepted, a * trials.step.du, 0.0)
     return knots, problem.within_bounds(ctrls)
 
 
