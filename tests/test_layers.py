@@ -31,9 +31,9 @@ FLOORS = {
     "forces": "dynamics",
     "constraints": "forces",
     "contact": "forces",
-    "loading": "constraints",
+    "loading": "constraints contact",
     "solvers": "rotations",
-    "motion": "solvers loading contact",
+    "motion": "solvers loading",
     "estimation": "motion",
     "sensors": "motion",
 }

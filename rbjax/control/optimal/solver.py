@@ -149,7 +149,9 @@ def solve(
         tolerance: the search converges if the predicted change of the cost is below this, relative
             to the larger of |cost| and min(|cost of the first guess|, 1); at least 10 eps of the
             dtype.
-        violation: largest accepted constraint violation, in the units of the constraints.
+        violation: largest accepted constraint violation, in the units of the constraints; at least
+            10 eps of the dtype. float32 has too few digits for some end states of long or unstable
+            motions, such as a swing-up: these searches end as stuck near the optimum.
         seed: integer seed of methods that draw samples; use `jax.vmap` over it for many attempts.
         progress: if true, print the iterations on a terminal; ignored in traced code.
 
@@ -193,7 +195,9 @@ def solve(
     show = progress and not inside
     number = jnp.asarray if inside else _as_number
     began = guess_of(problem, guess, states, ctrl, parameters)
-    rule = StoppingRule(number(tolerance), number(violation), number(iterations))
+    least = 10 * float(jnp.finfo(problem.dt.dtype).eps)
+    largest = jnp.maximum(violation, least) if inside else max(float(violation), least)
+    rule = StoppingRule(number(tolerance), number(largest), number(iterations))
     options = Options(
         rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
     )

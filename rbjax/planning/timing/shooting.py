@@ -51,7 +51,7 @@ class Shooting(NamedTuple):
     """A motion as a function of w (n, nu + 1), the scaled controls and durations of intervals.
 
     Fields:
-        vehicle: the robot.
+        model: the robot.
         limits: with a finite steering angle.
         units: (nu,), the largest controls, the units of w.
         duration: the unit of durations, s.
@@ -65,7 +65,7 @@ class Shooting(NamedTuple):
         parts: steps of an interval, static.
     """
 
-    vehicle: RobotModel
+    model: RobotModel
     limits: Limits
     units: jax.Array
     duration: jax.Array
@@ -82,15 +82,15 @@ class Shooting(NamedTuple):
     @property
     def tracked(self) -> int:
         """The number of coordinates that affect the motion: all but the angles of shafts."""
-        return self.vehicle.robot.layout.casters.stop
+        return self.model.robot.layout.casters.stop
 
     def state(self, z: jax.Array) -> State:
         m = self.tracked
-        return State(jnp.zeros(self.vehicle.nq, z.dtype).at[:m].set(z[:m]), z[m:])
+        return State(jnp.zeros(self.model.nq, z.dtype).at[:m].set(z[:m]), z[m:])
 
     def rates(self, z: jax.Array, u: jax.Array) -> jax.Array:
-        context = self.vehicle.context(self.state(z), u)
-        q, v, _ = self.vehicle.rates(context)
+        context = self.model.context(self.state(z), u)
+        q, v, _ = self.model.rates(context)
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
@@ -125,7 +125,7 @@ class Shooting(NamedTuple):
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-        both = jnp.append(z[self.vehicle.robot.layout.steerings] / self.limits.steering,
+        both = jnp.append(z[self.model.robot.layout.steerings] / self.limits.steering,
                           turn / self.limits.turn_rate)  # fmt: skip
         rows = [(speed / self.limits.speed)[None] - 1, both - 1, -both - 1]
         if self.field is None:
@@ -134,8 +134,8 @@ class Shooting(NamedTuple):
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Compute the twist (3,) of the chassis."""
-        context = self.vehicle.context(self.state(z))
-        return stack_lanes(self.vehicle.full_velocities(context)[:3], z.dtype)
+        context = self.model.context(self.state(z))
+        return stack_lanes(self.model.full_velocities(context)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
         """Compute the clearance of each disc, m."""

@@ -117,7 +117,7 @@ def write_mjcf(
     draft = make_draft(full.replace(constraints=(*rigid, *linkages)))
     touch = {"solref": text(solref), "solimp": text(solimp)}
     for key, value in (OPTION | option).items():
-        draft.option.set(key, value if isinstance(value, str) else text(value))
+        draft.option.set(key, text(value))
     _write_ground(draft, n, wheel, float(width), touch | {"friction": text(friction)})
     _write_drives(draft, n)
     _write_steerings(draft, n, float(steering_range), float(steering_time))

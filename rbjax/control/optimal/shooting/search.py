@@ -4,9 +4,10 @@ An iteration expands the problem at its knots, computes gains, evaluates trial s
 `StepPolicy`, and applies the longest trial that the policy accepts. The regularisation falls
 tenfold after a step longer than 0.5. It rises tenfold after a step of at most 0.01, after a
 rejected step, or if the gains do not exist (Mastalli et al. 2020). The search is stuck if the
-largest regularisation gives no step, or if many steps lower the cost only by rounding. If the
-expected decrease of the cost is small, the multipliers of the constraints are updated, or the
-search has converged. With regularisation, the gradient must be small too.
+largest regularisation gives no step, or if many steps lower the cost only by rounding; with
+constraints it first gets new multipliers (`renews`). If the expected decrease of the cost is
+small, the multipliers of the constraints are updated, or the search has converged. With
+regularisation, the gradient must be small too.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import numpy as np
 
 from rbjax.compiler import threads
 from rbjax.control.optimal.objective import (
+    HARDER,
+    PENALTY,
     PENALTY_MOST,
     Multipliers,
     motion_cost,
@@ -48,6 +51,7 @@ LONG, SHORT = 0.5, 0.01  # step lengths that lower and raise the regularisation
 SHORT_CONSTRAINED = 0.3  # with constraints, which add curvature that the model omits
 LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each
 FLOOR = 10.0  # smallest tolerance, in units in the last place
+SOFTEST_AT_REST, HARDEST_AT_REST = 1e3, 1e6  # range of the penalty, see `renews`
 MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost only by rounding
 
 
@@ -151,7 +155,8 @@ def decide(
     reference, stalled = count_stalled(
         now.reference_cost, now.stalled, cost, values.gap <= gap_tolerance(dtype)
     )
-    status = jnp.where(stuck | (stalled >= MAX_STALLED), STUCK, status)
+    rests = stuck | (stalled >= MAX_STALLED)
+    status = jnp.where(rests, STUCK, status)
     finite = jnp.isfinite(values.cost) & jnp.isfinite(values.gap)
     status = jnp.where(finite, status, NOT_FINITE)
     if not constrained:
@@ -168,6 +173,11 @@ def decide(
     change = stationary & ~done
     penalty, failing = next_penalty(now.penalty, off, now.violation_before, satisfied)
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)
+    renewed = rests & here & renews(now, off, satisfied)
+    softer = jnp.maximum(now.penalty / HARDER, PENALTY)
+    penalty = jnp.where(renewed & satisfied, softer, penalty)
+    status = jnp.where(renewed & (status == STUCK), GOING, status)
+    change = change | renewed
     status = jnp.where(hopeless, INFEASIBLE, status)
     inner = jnp.maximum(CLOSER * now.inner_tolerance, least)
     change = change & (status == GOING)  # a search that ends keeps its multipliers
@@ -176,9 +186,20 @@ def decide(
         jnp.where(change, off, now.violation_before),
         jnp.where(change, inner, now.inner_tolerance), iterations,
         jnp.where(done, CONVERGED, status), jnp.where(change, penalty, now.penalty),
-        jnp.where(change, jnp.inf, reference).astype(dtype), stalled,
+        jnp.where(change, jnp.inf, reference).astype(dtype), jnp.where(change, 0, stalled),
     )  # fmt: skip
     return Decision(after, best, length, accepted, change)
+
+
+def renews(now: SearchState, violation: jax.Array, satisfied: jax.Array) -> jax.Array:
+    """Return whether a search at rest gets new multipliers, before it ends as stuck.
+
+    At rest the merit function falls no further than its rounding. New multipliers reduce the
+    violation. If the constraints are satisfied, a smaller penalty has the same optimum, and its
+    rounding hides less of the gradient.
+    """
+    falls = (violation < now.violation_before) | (now.penalty < HARDEST_AT_REST)
+    return jnp.where(satisfied, now.penalty > SOFTEST_AT_REST, falls)
 
 
 def _small(
