@@ -160,12 +160,12 @@ class Air(rb.forces.Element):
 
     drag: jax.Array  # (nb,) N m s^2/rad^2
 
-    def loads(self, now):
+    def loads(self, context):
         def turn(body, drag):
             w = body.angular_velocity
             return body.push(jnp.zeros(3), w * (-drag * w.norm(1e-6)))
 
-        return rb.forces.on_each(now, range(now.model.nb), turn, self.drag)
+        return rb.forces.on_each(context, range(context.model.nb), turn, self.drag)
 
 
 def design(name, terms):

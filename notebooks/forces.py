@@ -40,8 +40,8 @@ class Fan(rb.forces.Element):
     air: jax.Array  # (3,) m/s
     drag: jax.Array  # N s^2 / m^2
 
-    def loads(self, now):
-        bob = now.body(0).at(now.model.bodies.com[0])  # the body's own origin is its pivot
+    def loads(self, context):
+        bob = context.body(0).at(context.model.bodies.com[0])  # the body's own origin is its pivot
         wind = self.air - bob.velocity
         return bob.push(wind * (self.drag * wind.norm(1e-6)))
 
@@ -89,11 +89,11 @@ class LateMotor(rb.forces.Element):
     delay: jax.Array  # s
     size = 1
 
-    def loads(self, now):
-        return now.joint(0).push(now.x[0])
+    def loads(self, context):
+        return context.joint(0).push(context.x[0])
 
-    def rate(self, now):
-        return [(2.0 * jnp.sin(3.0 * now.t) - now.x[0]) / self.delay]
+    def rate(self, context):
+        return [(2.0 * jnp.sin(3.0 * context.t) - context.x[0]) / self.delay]
 
 
 driven = robot.with_forces(LateMotor(jnp.array(0.3)))

@@ -69,8 +69,8 @@ problem = Problem(
     terminal=[Cost(goal, 1e4), Cost(Velocity(), 10.0)],
 )  # fmt: skip
 hold = rb.gravity_forces(arm, start.q)
-reach = solve(problem, start, ctrls=jnp.tile(jnp.clip(hold, -limit, limit), (50, 1)))
-off = goal(arm, 0.0, reach.state(-1), reach.ctrls[-1])
+reach = solve(problem, start, ctrl=jnp.tile(jnp.clip(hold, -limit, limit), (50, 1)))
+off = goal(arm, 0.0, reach.state(-1), reach.ctrl[-1])
 print(f"{reach.summary()} after {int(reach.iterations)} iterations, cost {float(reach.cost):.4f}")
 print(f"off by {1e3 * jnp.linalg.norm(off[:3]):.2f} mm, {jnp.linalg.norm(off[3:]):.1e} rad")
 
@@ -78,7 +78,7 @@ print(f"off by {1e3 * jnp.linalg.norm(off[:3]):.2f} mm, {jnp.linalg.norm(off[3:]
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), gridspec_kw={"width_ratios": [1.2, 1, 1]})
 strobe(axes[0], "arm7", arm, reach.states.q[::10], camera=Camera(-30, 20))
 axes[0].axis("off")
-axes[1].step(reach.ts[:-1], reach.ctrls / limit, where="post")
+axes[1].step(reach.ts[:-1], reach.ctrl / limit, where="post")
 axes[1].set(xlabel="time [s]", ylabel="torque / limit", ylim=(-1.1, 1.1))
 axes[1].legend(arm.joint_names, fontsize=6, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 axes[2].semilogy(reach.costs[: int(reach.iterations)], ".-")
@@ -95,7 +95,7 @@ figure.tight_layout()
 hand = arm.body("link7")
 push = jnp.zeros((50, len(arm.bodies.mass), 6)).at[5:10, hand, 4].set(-30.0)
 runs = {
-    "open loop": rb.rollout(arm, start, reach.ctrls, 0.02, wrenches=push),
+    "open loop": rb.rollout(arm, start, reach.ctrl, 0.02, wrenches=push),
     "feedback": rb.rollout(arm, start, reach.policy(), 0.02, steps=50, wrenches=push),
 }
 
@@ -178,7 +178,7 @@ for axis, (name, one) in zip(axes, found.items(), strict=False):
     axis.plot(corner[0], corner[2], "*", color="tab:orange", ms=14, zorder=5)
     axis.set(title=f"{name}: cost {float(one.cost):.2f}", xlabel="x [m]", ylabel="z [m]")
     axis.set(aspect="equal", xlim=(-0.6, 1.6), ylim=(0.4, 2.8))
-    axes[2].plot(one.ts[:-1], jnp.linalg.norm(one.ctrls, axis=1), label=name)
+    axes[2].plot(one.ts[:-1], jnp.linalg.norm(one.ctrl, axis=1), label=name)
 axes[2].set(xlabel="time [s]", ylabel="norm of the torques [N m]")
 axes[2].legend()
 figure.tight_layout()

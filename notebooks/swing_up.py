@@ -78,7 +78,7 @@ for i, (name, one) in enumerate(found.items()):
     style = styles[i % 4]
     if abs(one.states.q[-1, 1]) < 0.3:
         axes[0].plot(one.ts, np.rad2deg(one.states.q[:, 1]), style, label=name, lw=1.5)
-        axes[1].step(one.ts[:-1], one.ctrls[:, 0], ls=style, where="post", lw=1.5)
+        axes[1].step(one.ts[:-1], one.ctrl[:, 0], ls=style, where="post", lw=1.5)
 axes[0].set(xlabel="time [s]", ylabel="pole from upright [deg]")
 axes[1].set(xlabel="time [s]", ylabel="force [N]")
 axes[0].legend(fontsize=7)
@@ -89,6 +89,7 @@ figure.tight_layout()
 # `lqr_at` linearises the model about upright and solves the Riccati equation. A policy follows the
 # swing with the solution's feedback, and then holds with the regulator. The start is off by 0.05
 # rad, so the forces of the plan do not bring the pole up.
+
 
 # %%
 def caught(model, one, held, Q, R, dt):
@@ -102,7 +103,7 @@ def caught(model, one, held, Q, R, dt):
 hang = rb.State(down.q.at[1].add(0.05), down.v)
 policy = caught(cart, swing, up, jnp.array([10.0, 10.0, 1.0, 1.0]), jnp.array([0.1]), 0.05)
 held = rb.rollout(cart, hang, policy, 0.05, steps=120)
-blind = rb.rollout(cart, hang, jnp.concatenate([swing.ctrls, jnp.zeros((60, 1))]), 0.05)
+blind = rb.rollout(cart, hang, jnp.concatenate([swing.ctrl, jnp.zeros((60, 1))]), 0.05)
 
 figure, axes = plt.subplots(2, 1, figsize=(10, 6), height_ratios=[1.5, 1])
 strobe(axes[0], "cart_pole", cart, held.q[:61:3], camera=Camera(-90, 5), shadow=False)

@@ -38,6 +38,7 @@ thrust = 9.81 / 4  # N, of each rotor
 # `Pose` compares the frame with the gate's: log of the relative transform, (6,). A bell in time
 # makes it count near 1 s. `StateError` compares states on the tangent space, attitudes included.
 
+
 # %%
 def at(x):
     """Hovering at x."""
@@ -58,9 +59,9 @@ def at_gate(model, t, state, ctrl):
 easy = [Cost(Velocity(), 0.02), Cost(Control(thrust), 0.02)]
 goal = Cost(StateError(at(2.0)), 100.0)
 problem = Problem(quad, 80, 0.025, running=[*easy, at_gate], terminal=[goal])
-flight = solve(problem, at(-2.0), ctrls=jnp.full((80, 4), thrust))
+flight = solve(problem, at(-2.0), ctrl=jnp.full((80, 4), thrust))
 print(f"{flight.summary()} after {int(flight.iterations)} iterations")
-print("off the gate", gate(quad, 1.0, flight.state(40), flight.ctrls[40]).round(4))
+print("off the gate", gate(quad, 1.0, flight.state(40), flight.ctrl[40]).round(4))
 
 # %% [markdown]
 # ## Seen from the side and over time
@@ -93,7 +94,7 @@ def draw(axis, states, every=5):
 figure = plt.figure(figsize=(11, 4))
 draw(figure.add_subplot(1, 2, 1, projection="3d"), flight.states)
 axis = figure.add_subplot(2, 2, 2)
-axis.step(flight.ts[:-1], flight.ctrls, where="post")
+axis.step(flight.ts[:-1], flight.ctrl, where="post")
 axis.set(ylabel="thrusts [N]", xticklabels=[])
 axis = figure.add_subplot(2, 2, 4)
 w, x, y, z = flight.states.q[:, 3:].T
@@ -114,10 +115,10 @@ window = Constraint(
     low=[-1e-3] * 3 + [-np.deg2rad(5)] * 3, high=[1e-3] * 3 + [np.deg2rad(5)] * 3, name="gate",
 )  # fmt: skip
 held = Problem(quad, 80, 0.025, running=easy, terminal=[goal], constraints=[window])
-strict = solve(held, at(-2.0), states=flight.states, ctrls=flight.ctrls)
+strict = solve(held, at(-2.0), states=flight.states, ctrl=flight.ctrl)
 print(f"{strict.summary()} after {int(strict.iterations)} iterations")
-print("off the gate", gate(quad, 1.0, strict.state(40), strict.ctrls[40]).round(4))
-effort = [float(((x.ctrls - thrust) ** 2).sum() * 0.025) for x in (flight, strict)]
+print("off the gate", gate(quad, 1.0, strict.state(40), strict.ctrl[40]).round(4))
+effort = [float(((x.ctrl - thrust) ** 2).sum() * 0.025) for x in (flight, strict)]
 print("effort as a cost {:.2f} N^2 s, as a constraint {:.2f} N^2 s".format(*effort))
 
 # %%

@@ -79,7 +79,7 @@ for ax, (name, friction) in zip(axes, {"rubber": 0.9, "ice": 0.08}.items(), stri
     vehicle = wheeled.at(omni, "slipping", tyre=wheeled.Fiala(15.0, friction, smooth_speed=0.3))
     start = wheeled.start(vehicle)
     path = wheeled.rollout(vehicle, start, jnp.tile(speeds, (2000, 1)), 0.001, save_every=20)
-    top_view(ax, vehicle, path, robots=4, controls=speeds)
+    top_view(ax, vehicle, path, robots=4, ctrl=speeds)
     ax.set_title(f"{name}, friction {friction}")
 plt.show()
 

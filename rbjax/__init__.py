@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     )
     from rbjax import loading as loading
     from rbjax import motion as motion
-    from rbjax.forces import applied_forces
+    from rbjax.forces import applied_forces, tendon_jacobian, tendon_lengths
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.impacts import ImpactTrajectory, simulate_impacts
     from rbjax.motion.linearise import Linear, linearise
@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from rbjax.motion.simulate import simulate
     from rbjax.motion.step import acceleration, step
     from rbjax.motion.trajectory import Trajectory
+    from rbjax.sensors import sense
 
 __version__ = "0.1.0"
 
@@ -93,10 +94,13 @@ _MODULES = {
     "load": "loading",
     "rollout": "motion.rollout",
     "scenes": "loading",
+    "sense": "sensors",
     "simulate": "motion.simulate",
     "ImpactTrajectory": "motion.impacts",
     "simulate_impacts": "motion.impacts",
     "step": "motion.step",
+    "tendon_jacobian": "forces",
+    "tendon_lengths": "forces",
     "write_back": "loading",
     "write_mjcf": "loading",
 }
@@ -185,6 +189,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sense",
     "sensors",
     "simulate",
     "simulate_impacts",
@@ -193,6 +198,8 @@ __all__ = [
     "stability",
     "step",
     "sysid",
+    "tendon_jacobian",
+    "tendon_lengths",
     "threads",
     "validation",
     "wheeled",

@@ -39,7 +39,7 @@ Floating = Annotated[bool, typer.Option("--floating-base", help="Free a URDF's r
 
 @contextlib.contextmanager
 def _session() -> Iterator[None]:
-    """Run a command in f64: print a `RbjaxError` and exit with 2, hide known warnings."""
+    """Run a command in f64. Print a `RbjaxError` and exit with code 2. Hide known warnings."""
     with warnings.catch_warnings(), jax.enable_x64(True):
         warnings.filterwarnings("ignore", message=".*left out of the model")
         try:

@@ -66,7 +66,7 @@ def _known(*options: tuple[str, Any]) -> dict[str, Any]:
 
 
 def alone() -> bool:
-    """Check that a call is outside any trace and any transformation."""
+    """Check that a call is outside any trace and any transformation of JAX."""
     return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
 
 

@@ -46,7 +46,8 @@ def _nearest(known: Sequence[str], name: object) -> str:
 class UnknownName(RbjaxError, KeyError):
     """Error of a name that does not exist. The message lists the valid names, and the nearest one.
 
-    apart: valid names by the word for their kind, for a message with several lists.
+    apart: several lists of valid names, by the word for their kind, such as "joint"; None for one
+        list.
     """
 
     def __init__(

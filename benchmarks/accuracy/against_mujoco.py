@@ -1,13 +1,15 @@
 """Relative errors of rbjax and MJX against MuJoCo C (f64) over the whole test list, f64 and f32.
 
-`python -m benchmarks.accuracy.against_mujoco`: 100 random states of every loadable model and of 50
-random trees; FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max
-|theirs| of one state; the tables give the largest over quantities and states (f64), and the median
+`python -m benchmarks.accuracy.against_mujoco [--full]`: 100 random states of every loadable model
+and of 50 random trees with --full, else of every eighth, and of the robots of the figures; FK, mass
+matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of one state; the
+tables give the largest over quantities and states (f64), and the median
 and largest (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
@@ -19,11 +21,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import mjx
-from rich.progress import track
 
 import rbjax as rb
 from benchmarks.cases.models import MODELS, SINGULAR, switch_off_constraints
 from benchmarks.cases.random_trees import random_tree
+from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.robots import NAMES, states
 from benchmarks.shared.timing import markdown_table, save
 
@@ -85,14 +87,20 @@ def mjx_errors(m: mujoco.MjModel, q, v, tau, qacc) -> np.ndarray:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_full(parser, "all models", "an eighth of them")
+    full = parser.parse_args().full
     sources = {name: entry.load for name, entry in MODELS.items() if name not in SINGULAR}
     for seed in range(50):
         sources[f"random tree {seed}"] = lambda s=seed: mujoco.MjModel.from_xml_string(
             random_tree(s)
         )
+    if not full:
+        some = {*[*sources][::8], *NAMES.values()}
+        sources = {name: load for name, load in sources.items() if name in some}
     rows = []
-    for name, load in track(sources.items(), description="models"):
-        m = load()
+    for name in progress(sources):
+        m = sources[name]()
         switch_off_constraints(m)
         m.opt.disableflags |= int(
             mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
@@ -134,7 +142,7 @@ def main() -> None:
     }
     middle = float(np.median([r["f32 median"] for r in rows]))
     print(f"{len(rows)} models, f64 max {worst:.1e}, median of f32 medians {middle:.1e}", over)
-    print(save("accuracy", rows))
+    print(save(sized("accuracy", full), rows))
 
 
 if __name__ == "__main__":

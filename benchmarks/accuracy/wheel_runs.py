@@ -116,8 +116,8 @@ class Rolling:
         held, most = wheeled.at(self.of.robot, "constrained"), 0.0
         for t, q, v in zip(times(), self.path.q, self.path.v, strict=True):
             u = self.of.controls(t, jnp)
-            now = self.vehicle.context(rb.State(q, v), u)
-            w = jnp.stack([jnp.asarray(x, float) for x in self.vehicle.full_velocities(now)])
+            context = self.vehicle.context(rb.State(q, v), u)
+            w = jnp.stack([jnp.asarray(x, float) for x in self.vehicle.full_velocities(context)])
             found = wheeled.contacts(held, rb.State(q, w), u)
             most = max(most, float((jnp.linalg.norm(found.forces, axis=1) / found.loads).max()))
         return most

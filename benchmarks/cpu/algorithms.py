@@ -19,6 +19,7 @@ import pinocchio as pin
 
 import rbjax as rb
 from benchmarks.cases.models import MODELS
+from benchmarks.shared.progress import progress
 from benchmarks.shared.robots import NAMES, compiled, ours, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, others, save
 
@@ -119,7 +120,7 @@ def main() -> None:
                 rows.append(one | {"ns": mujoco_ns(name)})
             for driver in ("auto", "unrolled") if name == "g1" else ("auto",):
                 model = ours(name).replace(driver=driver)
-                for algorithm, f in ALGORITHMS.items():
+                for algorithm, f in progress(ALGORITHMS.items(), lambda x: x[0]):
                     row = {"robot": name, "algorithm": algorithm, "driver": driver}
                     rows.append(row | beside(peers[algorithm], f, model, inputs, dtype))
                     print(rows[-1], flush=True)

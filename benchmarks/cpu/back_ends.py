@@ -1,13 +1,14 @@
 """Algorithms of a batch of 1,024 on one core: machine code beside XLA, in one process by turns.
 
-    python -m benchmarks.cpu.back_ends [ROBOT ...]
+    python -m benchmarks.cpu.back_ends [--full] [ROBOT ...]
 
-Both run `jax.jit(jax.vmap(f))` with the model closed over and default options, batch first.
+--full: all three robots, by default the first. Both run `jax.jit(jax.vmap(f))` with the model
+closed over and default options, batch first.
 """
 
 import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.shared.progress import add_full, progress
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timed_algorithms import ALGORITHMS
 from benchmarks.shared.timing import markdown_table, others, save
@@ -60,7 +62,8 @@ def rows_of(name: str, dtype: type) -> list[dict[str, Any]]:
     model = as_model(reference).astype(dtype)
     args = [jnp.asarray(np.ascontiguousarray(x), dtype) for x in states(reference, BATCH)]
     rows = []
-    for algorithm, f in ALGORITHMS.items():
+    for algorithm in progress(ALGORITHMS, lambda x: f"{name} {dtype.__name__} {x}"):
+        f = ALGORITHMS[algorithm]
 
         def one(*x: Any, f: Callable = f) -> Any:
             return f(model, *x)
@@ -80,8 +83,12 @@ def rows_of(name: str, dtype: type) -> list[dict[str, Any]]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", help="if left out, those of the size")
+    add_full(parser, ", ".join(NAMES), next(iter(NAMES)))
+    asked = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    for name in sys.argv[1:] or NAMES:
+    for name in asked.robots or [*NAMES][: None if asked.full else 1]:
         for dtype in (np.float64, np.float32):
             rows += rows_of(name, dtype)
             kept = others("cpu-back-ends", rows, ("robot", "algorithm", "bits"))

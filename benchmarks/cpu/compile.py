@@ -1,8 +1,9 @@
 """Compile time of forward dynamics on the CPU, ours over MJX's: trace, lower and compile.
 
-`python -m benchmarks.cpu.compile [ROBOT ...] [--limit SECONDS]`. f32, batch 1,024, default flags,
-the model is an argument in both; one result file a robot. MJX takes minutes a robot, so each engine
-runs in its own process, which ends after `--limit` seconds.
+`python -m benchmarks.cpu.compile [ROBOT ...] [--full] [--limit SECONDS]`. By default the first
+robot, --full all. f32, batch 1,024, default flags, the model is an argument in both; one result
+file a robot. MJX takes minutes a robot, so each engine runs in its own process, which ends after
+`--limit` seconds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import mujoco
 from mujoco import mjx
 
 import rbjax as rb
+from benchmarks.shared.progress import add_full, progress
 from benchmarks.shared.robots import ALL, compiled, ours, states
 from benchmarks.shared.timing import markdown_table, save
 
@@ -65,17 +67,19 @@ def limited(engine: str, name: str, limit: float) -> float | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robots", nargs="*", default=list(ALL))
-    parser.add_argument("--limit", type=float, default=1800.0)
+    parser.add_argument("robots", nargs="*", help="if left out, those of the size")
+    parser.add_argument("--limit", type=float, help="seconds; 1,800 with --full, else 120")
+    add_full(parser, ", ".join(ALL), next(iter(ALL)))
     opts = parser.parse_args()
+    limit = opts.limit or (1800.0 if opts.full else 120.0)
     rows = []
-    for name in opts.robots:
+    for name in progress(opts.robots or [*ALL][: None if opts.full else 1]):
         row: dict[str, Any] = {"robot": name, "nv": compiled(name).nv}
-        mine = limited("rbjax", name, opts.limit)
-        peer = limited("MJX", name, opts.limit)
-        row |= {"rbjax s": mine or f"> {opts.limit:g}", "MJX s": peer or f"> {opts.limit:g}"}
+        mine = limited("rbjax", name, limit)
+        peer = limited("MJX", name, limit)
+        row |= {"rbjax s": mine or f"> {limit:g}", "MJX s": peer or f"> {limit:g}"}
         if mine:
-            ratio = mine / (peer or opts.limit)
+            ratio = mine / (peer or limit)
             row["ratio"] = ratio if peer else f"< {ratio:.2g}"
         rows.append(row)
         print(row, save(f"cpu-compile-{name}", [row]), flush=True)

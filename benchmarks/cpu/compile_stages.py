@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from benchmarks.shared.progress import progress
 from benchmarks.shared.robots import ALL, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from rbjax.compiler.jax import launch, primitive
@@ -136,7 +137,7 @@ def main() -> None:
         print(json.dumps(row(*CASES[int(sys.argv[1])])))
         return
     rows = []
-    for k in range(len(CASES)):
+    for k in progress(range(len(CASES))):
         command = [sys.executable, "-m", "benchmarks.cpu.compile_stages", str(k)]
         done = subprocess.run(command, check=True, text=True, stdout=subprocess.PIPE)
         rows.append(json.loads(done.stdout.splitlines()[-1]))

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.shared.progress import progress
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, solve
 
 
@@ -93,7 +94,7 @@ def main() -> None:
         problem, start, size = SYSTEMS[name]()
         shape = (args.starts, problem.horizon, problem.nu)
         guesses = size * jax.random.normal(jax.random.key(0), shape)
-        for method in args.methods.split(","):
+        for method in progress(args.methods.split(",")):
             row(name, method, problem, start, guesses)
 
 
@@ -102,7 +103,7 @@ def row(name: str, method: str, problem: Problem, start: Any, guesses: jax.Array
 
     def one(ctrls: jax.Array) -> tuple:
         s = solve(
-            problem, start, method=method, ctrls=ctrls, iterations=BUDGET.get(method, 300),
+            problem, start, method=method, ctrl=ctrls, iterations=BUDGET.get(method, 300),
             tolerance=1e-8,
         )  # fmt: skip
         return s.status, s.iterations, s.cost, s.gap

@@ -10,6 +10,7 @@ Models: the fit to all other runs; the published one with zeros found in the sam
 one as it is.
 """
 
+import itertools
 from typing import Any
 
 import jax
@@ -19,6 +20,7 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np  # noqa: E402
 
 from benchmarks.cases import dfki  # noqa: E402
+from benchmarks.shared.progress import progress  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 from rbjax import sysid  # noqa: E402
 
@@ -75,7 +77,11 @@ def table(design: str, cutoff: float) -> list[dict[str, Any]]:
 
 if __name__ == "__main__":
     if dfki.DATA.exists():
-        rows = [row for d in dfki.DESIGNS for f in CUTOFFS for row in table(d, f)]
+        rows = [
+            row
+            for d, f in progress(itertools.product(dfki.DESIGNS, CUTOFFS))
+            for row in table(d, f)
+        ]
         print(markdown_table(rows, COLUMNS))
         save("cpu-double-pendulum-motors", rows)
     else:

@@ -1,18 +1,22 @@
-"""Every public function under plain jit, batch 1,024, against its fastest form under XLA.
+"""Public functions under plain jit, batch 1,024, against their fastest form under XLA.
 
-`python -m benchmarks.cpu.forms`: one core, f64, Panda, default flags. Forms: plain
-`jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
-(`lax.map`); XLA's fusion pass off; its fusion emitters off. The result is plain over the fastest.
+`python -m benchmarks.cpu.forms [--full]`: twenty functions, by default five, in results of their
+own; one core, f64, Panda, default flags. Forms: plain `jit(vmap(f))` with the driver "auto" (what a
+user writes); the other driver; chunks of 240 (`lax.map`); XLA's fusion pass off; its fusion
+emitters off. The result is plain over the fastest.
 """
 
 from __future__ import annotations
 
 import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
+import argparse
+
 import jax
 import jax.numpy as jnp
 
 import rbjax as rb
+from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.robots import compiled, ours, states
 from benchmarks.shared.timing import markdown_table, measure, save
 from benchmarks.shared.under_xla import under_xla
@@ -41,13 +45,18 @@ FUNCTIONS = {
     "integrate": lambda m, q, v, u: rb.integrate(m, q, v),
     "difference": lambda m, q, v, u: rb.difference(m, q, q + v),
 }
+FEW = ("forward_kinematics", "inverse_dynamics", "forward_dynamics", "mass_matrix", "integrate")
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_full(parser, "all functions", "five of them")
+    full = parser.parse_args().full
     model = ours("panda")
     given = tuple(jnp.asarray(x) for x in states(compiled("panda"), BATCH))
     rows = []
-    for name, f in FUNCTIONS.items():
+    for name in progress(FUNCTIONS if full else FEW):
+        f = FUNCTIONS[name]
 
         def plain(*x, f=f, model=model):
             return jax.vmap(lambda *one: f(model, *one))(*x)
@@ -74,7 +83,7 @@ def main() -> None:
         rows.append(row)
         print(row, flush=True)
     print(markdown_table(rows, rows[0]))
-    print(save("cpu-forms", rows))
+    print(save(sized("cpu-forms", full), rows))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The gradient of a squared simulation error: forward and reverse mode, by numbers and recordings.
 
-`python -m benchmarks.cpu.gradient_modes [--small] [--gpu]` writes
-results/<cpu or gpu>-gradient-modes-<device>.json. A recording is that of a 7-joint arm; the unknown
+`python -m benchmarks.cpu.gradient_modes [--full] [--small] [--gpu]` writes
+results/<cpu or gpu>-gradient-modes-<device>.json; --full has five counts of unknowns on a CPU, the
+default two, in results of their own. A recording is that of a 7-joint arm; the unknown
 numbers are the first n of its armatures, friction, and inertias. ratio is the time of forward mode
 over that of reverse mode; chosen, the mode that
 `rbjax.sysid.simulation.objective` takes by the shape. f64 on a CPU, f32 on a GPU. memory is what
@@ -17,6 +18,7 @@ import jax
 import numpy as np
 
 import rbjax as rb
+from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.sysid import Channel, Grid, Inertia, Recording, Unknown, squares
 from rbjax.sysid.simulation.objective import faster
@@ -55,7 +57,7 @@ def rows(counts: list[int], numbers: list[int], steps: int) -> list[dict[str, An
     found = []
     for count in counts:
         runs = recordings(model, count, steps)
-        for n in numbers:
+        for n in progress(numbers, lambda n, count=count: f"{count} recordings, {n} unknowns"):
             times, grads, memory = {}, {}, {}
             for mode in ("forward", "reverse"):
                 of = squares(model, runs, unknowns(n), grid=Grid(T), mode=mode)
@@ -82,13 +84,15 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--small", action="store_true", help="a minute, to see that it runs")
     parser.add_argument("--gpu", action="store_true")
+    add_full(parser, "2, 4, 14, 34 and 84 unknowns", "4 and 34")
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", not asked.gpu)
     if asked.small:
         print(markdown_table(rows([2], [2], 20), COLUMNS))
     else:
         counts = [1, 64, 1024] if asked.gpu else [1, 16]
-        numbers = [4, 24, 84] if asked.gpu else [2, 4, 14, 34, 84]
+        numbers = [4, 24, 84] if asked.gpu else [2, 4, 14, 34, 84] if asked.full else [4, 34]
         found = rows(counts, numbers, 500)
         print(markdown_table(found, COLUMNS))
-        save("gpu-gradient-modes" if asked.gpu else "cpu-gradient-modes", found)
+        name = sized("cpu-gradient-modes", asked.full)
+        save("gpu-gradient-modes" if asked.gpu else name, found)

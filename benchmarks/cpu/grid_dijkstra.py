@@ -1,17 +1,20 @@
 """The planner and the heap of Algorithm 10.2, on a core: `python -m benchmarks.cpu.grid_dijkstra`.
 
-A car among random boxes on a map of 200 x 200 cells of 0.1 m, 72 headings, six controls. The oracle
-of the tests, plain NumPy and heapq, takes minutes; both must find the same path.
+`[--full]`: three maps, by default one, in results of their own. A car among random boxes on a map
+of 200 x 200 cells of 0.1 m, 72 headings, six controls. The oracle of the tests, plain NumPy and
+heapq, takes minutes; both must find the same path.
 """
 
 from __future__ import annotations
 
 import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
+import argparse
 import time
 
 from benchmarks.cases import algorithm_10_2
 from benchmarks.shared.clutter import CAR, CONTROLS, HEADINGS, TOLERANCE, clutter, query
+from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.planning import grid_dijkstra
 
@@ -22,8 +25,11 @@ def timed(f, *args) -> tuple:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_full(parser, "three maps", "one")
+    full = parser.parse_args().full
     rows = []
-    for seed in range(3):
+    for seed in progress(range(3 if full else 1), lambda seed: f"map {seed}"):
         grid, places = clutter(seed)
         args = grid, CAR, *query(places), CONTROLS, TOLERANCE, HEADINGS, 10**9
         grid_dijkstra(*args)
@@ -39,7 +45,7 @@ def main() -> None:
         )  # fmt: skip
         print(markdown_table(rows[-1:], rows[0]), flush=True)
     print(markdown_table(rows, rows[0]))
-    print(save("cpu-grid-dijkstra", rows))
+    print(save(sized("cpu-grid-dijkstra", full), rows))
 
 
 if __name__ == "__main__":

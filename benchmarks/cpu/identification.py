@@ -2,8 +2,9 @@
 beside CMA-ES.
 
 `python -m benchmarks.cpu.identification [arm] [quadruped] [search] [--rollouts N]` writes
-results/cpu-identification-<processor>.json. "search" is CMA-ES. The quadruped's files lie beside
-the repository, or in `--data FOLDER`; where they are not, it is left out.
+results/cpu-identification-<processor>.json. "search" is CMA-ES, and runs where it is named. The
+quadruped's files lie beside the repository, or in `--data FOLDER`; where they are not, it is left
+out.
 
 first_s, first_cpu_s (seconds of all threads) are of the first call, with tracing and compiling;
 again_s, again_cpu_s of a second call of the same shapes: for the arm other commands and another
@@ -228,7 +229,7 @@ def rows(parts: list[str], budget: int) -> Iterator[dict[str, Any]]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", default=["arm", "quadruped", "search"])
+    parser.add_argument("parts", nargs="*", default=["arm", "quadruped"])
     parser.add_argument("--rollouts", type=int, default=6400, help="of CMA-ES")
     parser.add_argument("--data", type=Path, default=problems.GO2, help="the quadruped's files")
     asked = parser.parse_args()

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.shared.dry_arm import TRUTH, UNKNOWNS, guess, recorded
+from benchmarks.shared.progress import progress
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.sysid import identify
 
@@ -50,7 +51,7 @@ if __name__ == "__main__":
     parser.add_argument("--draws", type=int, default=20)
     draws = parser.parse_args().draws
     found = []
-    for seed in range(draws):
+    for seed in progress(range(draws), lambda seed: f"draw {seed}"):
         found.append(row(seed))
         print({k: found[-1][k] for k in COLUMNS}, flush=True)
     print(markdown_table(found, COLUMNS))

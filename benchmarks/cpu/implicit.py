@@ -1,6 +1,7 @@
 """Implicit methods on robots: compile time, time of a step, and evaluations of the vector field.
 
-`python -m benchmarks.cpu.implicit [ROBOT ...] [--solvers NAME ...]`. f64, one sample, constant
+`python -m benchmarks.cpu.implicit [ROBOT ...] [--solvers NAME ...] [--full]`. Robots:
+double_pendulum, with --full also arm7 and humanoid. f64, one sample, constant
 steps of 10 ms through `rb.simulate`, with the model an argument. Compile times are in CPU seconds,
 which do not depend on the load of the machine. Both times are also measured with
 `rb.compiler_options()`. The control counts evaluations, because every evaluation of the vector
@@ -19,8 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from benchmarks.shared.progress import add_full, progress
 from benchmarks.shared.robots import NAMES, ours
-from benchmarks.shared.timing import markdown_table, measure, save
+from benchmarks.shared.timing import markdown_table, measure, others, save
 
 jax.config.update("jax_enable_x64", True)
 
@@ -99,16 +101,17 @@ def row(robot: str, name: str) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robots", nargs="*", default=list(ROBOTS))
+    parser.add_argument("robots", nargs="*", help="if left out, those of the size")
     parser.add_argument("--solvers", nargs="*", default=list(SOLVERS))
-    opts = parser.parse_args()
+    add_full(parser, ", ".join(ROBOTS), ROBOTS[0])
+    asked = parser.parse_args()
+    robots = asked.robots or ROBOTS[: None if asked.full else 1]
     rows = []
-    for robot in opts.robots:
-        for name in opts.solvers:
-            rows.append(row(robot, name))
-            print(rows[-1], flush=True)
+    for robot, name in progress(itertools.product(robots, asked.solvers), " ".join):
+        rows.append(row(robot, name))
+        print(rows[-1], flush=True)
     print(markdown_table(rows, COLUMNS))
-    print(save("cpu-implicit", rows))
+    print(save("cpu-implicit", rows + others("cpu-implicit", rows, ("robot", "solver"))))
 
 
 if __name__ == "__main__":

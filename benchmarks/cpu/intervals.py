@@ -1,8 +1,10 @@
 """How often 95 % intervals hold the truth: simulated experiments with three robots, and with one
 robot in eight settings.
 
-`python -m benchmarks.cpu.intervals` writes results/cpu-intervals-<robot>-<processor>.json, and
-`... settings` results/cpu-intervals-settings-<processor>.json. Each experiment is simulated with
+`python -m benchmarks.cpu.intervals [ROBOT ...] [--full]` writes
+results/cpu-intervals-<robot>-<processor>.json, and `... settings`
+results/cpu-intervals-settings-<processor>.json; --full has 500 experiments of a robot and 200 of a
+setting, the default 20 and 5, in results of their own. Each experiment is simulated with
 the true numbers, gets its own noise, and is fitted from the user's guess, by all that `identify`
 does; asked is a share from 0.93 to 0.97. "lowest" and "highest" are of a single unknown, where 500
 experiments leave an error of 0.01. The ratio is the scatter of the numbers found over the standard
@@ -23,6 +25,7 @@ import numpy as np  # noqa: E402
 
 import rbjax as rb  # noqa: E402
 from benchmarks.shared.coverage import SETTINGS, coverage  # noqa: E402
+from benchmarks.shared.progress import add_full, progress, sized  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 from rbjax.sysid import (  # noqa: E402
     Channel,
@@ -120,14 +123,20 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     choices = [*ROBOTS, "settings"]
     parser.add_argument("robots", nargs="*", choices=[*choices, []], help="all if left out")
-    parser.add_argument("--experiments", type=int, help="500 of a robot, 200 of a setting")
+    parser.add_argument("--experiments", type=int, help="another number of them")
+    add_full(parser, "500 experiments of a robot, 200 of a setting", "20 and 5")
     args = parser.parse_args()
-    for name in args.robots or choices:
+    of_robot, of_setting = (args.experiments or x for x in ((500, 200) if args.full else (20, 5)))
+    full = args.full and not args.experiments
+    for name in progress(args.robots or choices):
         if name == "settings":
-            rows = [coverage(setting, args.experiments or 200) for setting in SETTINGS]
+            rows = [
+                coverage(setting, of_setting)
+                for setting in progress(SETTINGS, lambda setting: setting.name)
+            ]
             print(markdown_table(rows, tuple(rows[0])), flush=True)
-            save("cpu-intervals-settings", rows)
+            save(sized("cpu-intervals-settings", full), rows)
             continue
-        found = row(ROBOTS[name], args.experiments or 500)
+        found = row(ROBOTS[name], of_robot)
         print(markdown_table([found], COLUMNS), flush=True)
-        save(f"cpu-intervals-{name}", [found])
+        save(sized(f"cpu-intervals-{name}", full), [found])

@@ -1,7 +1,8 @@
 """The legs of a real Go2: models of growing detail, and CMA-ES on the same residual.
 
-`python -m benchmarks.cpu.legs_in_the_air [choice] [half] [search]` writes
-results/cpu-legs-in-the-air-<processor>.json. The recording lies beside the repository.
+`python -m benchmarks.cpu.legs_in_the_air [choice] [half] [search] [--full]` writes
+results/cpu-legs-in-the-air-<processor>.json; the default is `choice`, --full all three. The
+recording lies beside the repository.
 
 Errors are RMS over the joints in mrad: fitted, where the model was fitted; unseen, on the samples
 that follow, free from their first state under the recorded commands. `choice` fits the first two
@@ -24,6 +25,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.cases import go2  # noqa: E402
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
+from benchmarks.shared.progress import add_full, progress  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import Setup, identify  # noqa: E402
 from rbjax.sysid.parameters.unknown_vector import Unknowns  # noqa: E402
@@ -104,7 +106,7 @@ def choice() -> list[dict[str, Any]]:
     leg = go2.robot(SEARCHED)
     return [
         fitted("choice", f"curves of {terms}", go2.by_position(leg, terms), go2.FITTED, go2.HALF)
-        for terms in ((1, 1), (1, 8), (12, 1), go2.TERMS)
+        for terms in progress(((1, 1), (1, 8), (12, 1), go2.TERMS))
     ]
 
 
@@ -125,12 +127,13 @@ def search(budget: int) -> list[dict[str, Any]]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", default=["choice", "half", "search"])
+    parser.add_argument("parts", nargs="*", help="if left out, those of the size")
     parser.add_argument("--rollouts", type=int, default=20_000)
+    add_full(parser, "choice, half and search", "choice")
     asked = parser.parse_args()
     parts = {"choice": choice, "half": half, "search": lambda: search(asked.rollouts)}
     if go2.DATA.exists():
-        for part in asked.parts:
+        for part in progress(asked.parts or [*parts][: None if asked.full else 1]):
             rows = parts[part]()
             print(markdown_table(rows, COLUMNS), flush=True)
             save(NAME, rows + others(NAME, rows, ("part", "model")))

@@ -63,7 +63,7 @@ def main() -> None:
         for _ in range(args.rounds):
             for _ in range(3):
                 begin = time.process_time()
-                jax.block_until_ready(solve(case.problem, case.start).ctrls)
+                jax.block_until_ready(solve(case.problem, case.start).ctrl)
                 ours.append((time.process_time() - begin) / count * 1e3)
             if peer:
                 theirs.append(answer(peer, f"{name} 3"))

@@ -26,6 +26,7 @@ from benchmarks.cases.pendulums import (  # noqa: E402
     published,
     split,
 )
+from benchmarks.shared.progress import progress  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 
 COLUMNS = ("pendulum", "piece", "found 1.5", "published 1.5", "found 0.5", "published 0.5")
@@ -55,7 +56,7 @@ def rows(name: str) -> list[dict[str, Any]]:
 
 if __name__ == "__main__":
     if DATA.exists():
-        table = [row for name in NAMES for row in rows(name)]
+        table = [row for name in progress(NAMES) for row in rows(name)]
         print(markdown_table(table, COLUMNS))
         save("cpu-pendulum-data", table)
     else:

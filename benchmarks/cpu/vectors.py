@@ -1,6 +1,6 @@
 """Forward dynamics of a batch on one core: samples as lanes of vectors, sample by sample, and XLA.
 
-    python -m benchmarks.cpu.vectors
+python -m benchmarks.cpu.vectors
 """
 
 import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 import rbjax as rb
+from benchmarks.shared.progress import progress
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from benchmarks.shared.under_xla import under_xla
@@ -67,7 +68,7 @@ def robot(name: str, dtype: type) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    rows = [row for dtype in (np.float64, np.float32) for name in NAMES
+    rows = [row for dtype in (np.float64, np.float32) for name in progress(NAMES)
             for row in robot(name, dtype)]  # fmt: skip
     print(markdown_table(rows, rows[1]))
     print(save("cpu-vectors", rows))

@@ -1,10 +1,10 @@
 """Wrong data of a quadruped in the air: what is found and named, what the fit survives.
 
 `python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER] [--cases ...]` prints the
-tables of docs/wrong_data.md. The error is the largest of all numbers against the truth (of the leg
-armature, viscous friction and bias of three joints; of the quadruped those and Coulomb friction of
-twelve joints, and the delay): of the fit to the wrong data, and of one to what `diagnose` mended.
-The quadruped's files lie beside the repository, or in FOLDER.
+tables of docs/wrong_data.md, by default that of the leg. The error is the largest of all numbers
+against the truth (of the leg armature, viscous friction and bias of three joints; of the quadruped
+those and Coulomb friction of twelve joints, and the delay): of the fit to the wrong data, and of
+one to what `diagnose` mended. The quadruped's files lie beside the repository, or in FOLDER.
 """
 
 import argparse
@@ -20,6 +20,7 @@ import numpy as np  # noqa: E402
 from benchmarks.cases import problems  # noqa: E402
 from benchmarks.cases.problems import Problem, quadruped  # noqa: E402
 from benchmarks.cases.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  # noqa: E402
+from benchmarks.shared.progress import progress  # noqa: E402
 from benchmarks.shared.timing import markdown_table  # noqa: E402
 from rbjax.sysid import Grid, diagnose, identify  # noqa: E402
 
@@ -47,7 +48,8 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
     cases += [(name, wrong.make, "squares") for name, wrong in wrongs.items()]
     cases.append(("5 % outliers", wrongs["5 % outliers"].make, "huber"))
     rows = []
-    for name, make, loss in (case for case in cases if not some or case[0] in some):
+    chosen = [case for case in cases if not some or case[0] in some]
+    for name, make, loss in progress(chosen, lambda case: case[0]):
         start = time.perf_counter()
         wrong = make(problem.run)
         how = {"loss": loss, "max_evaluations": 40, "restarts": 0} | problem.how
@@ -67,7 +69,7 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", default=["leg", "quadruped"])
+    parser.add_argument("parts", nargs="*", default=["leg"])
     parser.add_argument("--data", type=Path, default=problems.GO2)
     parser.add_argument("--cases", nargs="*", default=[], help="of the first column; all if none")
     asked = parser.parse_args()

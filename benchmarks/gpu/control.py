@@ -85,7 +85,7 @@ def search(arm: Arm, N: int, way: str, count: jax.Array, state: rb.State, target
     options = Options(StoppingRule(zero, zero, count))
     last = iterate(WAYS[way], problem, state, knots, us, options, MOST, False)
     at = last.search
-    return at.cost, at.expected_decrease, at.iterations, last.ctrls
+    return at.cost, at.expected_decrease, at.iterations, last.ctrl
 
 
 def parts(arm: Arm, N: int) -> dict[str, Any]:
@@ -100,11 +100,11 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
 
     def expand(state: rb.State, target: jax.Array) -> Any:
         problem, now = begun(state, target)
-        return expansion.expand(problem, state, now.knots, now.ctrls, now.multipliers)
+        return expansion.expand(problem, state, now.knots, now.ctrl, now.multipliers)
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
         problem, now = begun(state, target)
-        return compute_gains(problem, now.knots, now.ctrls, found, found.gaps, now.search.reg)
+        return compute_gains(problem, now.knots, now.ctrl, found, found.gaps, now.search.reg)
 
     def forward(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)

@@ -32,8 +32,8 @@ class Wind(rb.forces.Element):
     air: jax.Array
     drag: jax.Array
 
-    def loads(self, now: rb.forces.Context) -> rb.forces.Loads:
-        body = now.body(0)
+    def loads(self, context: rb.forces.Context) -> rb.forces.Loads:
+        body = context.body(0)
         return body.push(self.drag * (self.air - body.velocity))
 
 

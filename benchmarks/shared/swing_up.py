@@ -67,17 +67,13 @@ def _acrobot() -> Task:
 
     def end(t: Any, state: Any, ctrl: Any) -> Any:
         a, b = state.q
-        return jnp.stack(
-            [jnp.sin(a), 1 + jnp.cos(a), jnp.sin(b), 1 - jnp.cos(b), *(0.3 * state.v)]
-        )
+        return jnp.stack([jnp.sin(a), 1 + jnp.cos(a), jnp.sin(b), 1 - jnp.cos(b), *(0.3 * state.v)])
 
     problem = C.Problem(
         model, 200, 0.025, running=[C.Cost(C.Control(), 1e-3)], terminal=[C.Cost(end, 300.0)],
         bounds=(-10.0, 10.0),
     )  # fmt: skip
-    return Task(
-        "acrobot", problem, model.keyframe("down").q, model.keyframe("up").q, (True, True)
-    )
+    return Task("acrobot", problem, model.keyframe("down").q, model.keyframe("up").q, (True, True))
 
 
 def starts(task: Task, count: int, seed: int = 0) -> Any:
@@ -105,7 +101,7 @@ def solver(task: Task) -> Callable:
         )
         last = jax.tree.map(lambda x: x[-1], found.states)
         low, high = task.problem.low, task.problem.high
-        over = jnp.maximum(low - found.ctrls, found.ctrls - high).max()
+        over = jnp.maximum(low - found.ctrl, found.ctrl - high).max()
         return distance(task, last), found.gap, over, found.cost, found.iterations
 
     return jax.jit(jax.vmap(one))

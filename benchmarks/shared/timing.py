@@ -7,6 +7,7 @@ import platform
 import re
 import statistics
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
@@ -82,9 +83,17 @@ def provenance() -> dict[str, Any]:
             name: _version(name)
             for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "pin", "frax")
         },
+        "command": command(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         **_commit(),
     }
+
+
+def command() -> str:
+    """The command of this process, which says the size of its run; of paths the last part."""
+    spec = sys.modules["__main__"].__spec__
+    arguments = [Path(x).name if os.sep in x else x for x in sys.argv[1:]]
+    return " ".join(["python", *(["-m", spec.name] if spec else []), *arguments])
 
 
 def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = None) -> Path:

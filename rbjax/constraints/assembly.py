@@ -183,7 +183,8 @@ def assemble(
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, state.q), float)[np.ix_(free, free)])
 
     def least(off: np.ndarray, q: Any) -> np.ndarray:
-        """Compute the least change of free coordinates that minimises the linearised residual."""
+        """Compute the least change of the free coordinates that reduces the linearised residual to
+        zero."""
         G = np.asarray(jacobian(model, q, t), float)[:, free]
         change = np.zeros(model.nv)
         scaled = np.linalg.pinv(np.linalg.solve(root, G.T).T, rcond=rounding) @ -off

@@ -108,7 +108,8 @@ class LagrangeSystem:
             return jax.hessian(scalar, 2)(t, q, jnp.zeros_like(q), *args)
 
         def force(t: Any, q: jax.Array, v: jax.Array, *args: Any) -> jax.Array:
-            """Return Q + dL/dq minus the part of d/dt dL/dv that does not depend on v'."""
+            """Return the force F = Q + dL/dq minus the part of d/dt dL/dv that does not depend on
+            v'."""
 
             def momentum(t: Any, q: jax.Array) -> jax.Array:
                 return jax.grad(scalar, 2)(t, q, v, *args)
@@ -219,7 +220,7 @@ class LagrangeSystem:
         return stacked, jnp.concatenate(G)
 
     def _holonomic_rows(self, t: Any, q: jax.Array, v: jax.Array, args: Any) -> tuple:
-        """Compute f, f' and f'' along the path q + s v, and df/dq."""
+        """Compute the constraint f, its derivatives f', f'' along the path q + s v, and df/dq."""
         shape = (self._size("holonomic", t, q, args),)
 
         def f(t: Any, q: jax.Array) -> jax.Array:

@@ -139,7 +139,8 @@ def _face_contacts(
 
 
 def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the part of a polygon where a linear function, given at its vertices, is positive."""
+    """Clip a polygon: return the part in which a linear function, given at its vertices, is
+    positive."""
     index = jnp.arange(VERTICES)
     following = jnp.where(index + 1 < count, index + 1, 0) % VERTICES
     after, f, g = polygon[following], inside, inside[following]
@@ -156,7 +157,7 @@ def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.
 
 
 def _repeated(polygon: jax.Array, count: jax.Array, least: jax.Array) -> jax.Array:
-    """Return whether each vertex is at an earlier one."""
+    """Return a mask of the vertices that coincide with an earlier vertex."""
     gap = jnp.linalg.norm(polygon[:, None, :2] - polygon[None, :, :2], axis=-1)
     index = jnp.arange(VERTICES)
     earlier = (index[None] < index[:, None]) & (index[None] < count)

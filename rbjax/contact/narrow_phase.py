@@ -18,6 +18,7 @@ from itertools import product
 import jax.numpy as jnp
 
 from rbjax.contact.box_box import box_box
+from rbjax.contact.capsule_box import capsule_box, sphere_box
 from rbjax.contact.shapes import PARALLEL, TINY, Contact, Shape, times, unit
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
@@ -123,32 +124,6 @@ def sphere_cylinder(sphere: Shape, cylinder: Shape, reach: Lane) -> list[Contact
     return [select(cap, flat._replace(normal=-flat.normal), ball)]
 
 
-def sphere_box(sphere: Shape, box: Shape, reach: Lane) -> list[Contact]:
-    """Return the contact of a sphere with the nearest point of a box.
-
-    If the center is inside the box, that is the nearest of the six faces.
-    """
-    c, r = box.R.T @ (sphere.p - box.p), sphere.size[0]
-    nearest = Vec3(*(jnp.clip(x, -s, s) for x, s in zip(c, box.size, strict=True)))
-    towards = nearest - c
-    gap2 = towards.dot(towards)
-    outside = gap2 > TINY * TINY
-    gap = jnp.sqrt(jnp.where(outside, gap2, 1.0))
-
-    depth: Lane = jnp.inf
-    inward = Vec3.zero()
-    for k, sign in product(range(3), (-1.0, 1.0)):
-        to_face = jnp.abs(box.size[k] * sign - c[k])
-        axis = Vec3(*(-sign if i == k else 0.0 for i in range(3)))
-        inward = select(to_face < depth, axis, inward)
-        depth = jnp.minimum(depth, to_face)
-
-    n = select(outside, towards * (1 / gap), inward)
-    distance = jnp.where(outside, gap - r, -depth - r)
-    position = select(outside, (nearest + c + n * r) * 0.5, c + n * (0.5 * (r - depth)))
-    return [Contact(distance, box.p + box.R @ position, box.R @ n, distance <= reach)]
-
-
 def capsule_capsule(one: Shape, other: Shape, reach: Lane) -> list[Contact]:
     """Return the contact of two capsules at the nearest points of their axes.
 
@@ -186,13 +161,14 @@ PAIRS: dict[tuple[str, str], Pair] = {
     ("sphere", "cylinder"): sphere_cylinder,
     ("sphere", "box"): sphere_box,
     ("capsule", "capsule"): capsule_capsule,
+    ("capsule", "box"): capsule_box,
     ("box", "box"): box_box,
 }
 
 #: candidates of each pair
 COUNTS = dict.fromkeys(PAIRS, 1) | {
     ("plane", "capsule"): 2, ("plane", "cylinder"): 4, ("plane", "box"): 8,
-    ("capsule", "capsule"): 2, ("box", "box"): 8,
+    ("capsule", "capsule"): 2, ("capsule", "box"): 2, ("box", "box"): 8,
 }  # fmt: skip
 
 

@@ -70,12 +70,12 @@ def contact_frame(normal: Vec3, tangent: Vec3 | None = None) -> tuple[Vec3, Vec3
 
 
 def unit(v: Vec3, otherwise: Vec3) -> Vec3:
-    """Return v / |v|, or another vector if v is zero; derivatives are finite."""
+    """Return v / |v|, or `otherwise` if v is zero. The derivatives are finite."""
     square = v.dot(v)
     valid = square > TINY * TINY
     return select(valid, v * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), otherwise)
 
 
 def times(a: Vec3, b: Vec3) -> Vec3:
-    """Return the product of the entries."""
+    """Return the entrywise product of two vectors."""
     return Vec3(*(x * y for x, y in zip(a, b, strict=True)))

@@ -15,8 +15,10 @@ ENTRIES = 400
 
 
 def in_registers(A: jax.Array) -> jax.Array:
-    """Return A, read row by row on a GPU so that a one-sample kernel (`rb.threads`) keeps it in
-    registers. On a CPU, which has fewer registers, A is returned unchanged."""
+    """Return A, read row by row to keep it in registers of a GPU thread (`rb.threads`).
+
+    On a CPU, which has fewer registers, A is returned unchanged.
+    """
     if A.ndim < 2 or A.size > ENTRIES:
         return A
     rows = lambda A: jnp.stack([A[i] for i in range(A.shape[0])])  # noqa: E731

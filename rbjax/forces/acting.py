@@ -1,7 +1,7 @@
 """The sum of the forces of all elements on a robot.
 
     M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
-The elements of a model are the springs and dampers of its joints, its actuators, and
+The elements of a model are the springs and dampers of its joints and tendons, its actuators, and
 `model.forces`. All motion functions use these sums; no other file depends on a type of element.
 """
 
@@ -18,11 +18,12 @@ from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_l
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.activation import clip
-from rbjax.forces.actuators.actuator import from_columns
+from rbjax.forces.actuators.actuator import Actuator, from_columns
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.joints.polynomials import linear_springs
+from rbjax.forces.tendons.springs import tendon_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
@@ -31,31 +32,36 @@ from rbjax.model.leaves import table
 
 def elements(model: Model) -> tuple[Element, ...]:
     """List all force elements of a model, in the order of their states in x."""
-    return (linear_springs(model), *from_columns(model), *model.forces)
+    springs = (linear_springs(model), *tendon_springs(model))
+    return (*springs, *from_columns(model), *model.forces)
 
 
-def element_contexts(model: Model, now: Context) -> list[tuple[Element, Context]]:
+def element_contexts(model: Model, context: Context) -> list[tuple[Element, Context]]:
     """Pair each element with a context that contains its own part of x."""
     out, at = [], 0
     for element in elements(model):
         check_shapes(element, model)
         n = element.size
-        out.append((element, now.with_own(None if now.x is None else now.x[at : at + n])))
+        out.append(
+            (element, context.with_own(None if context.x is None else context.x[at : at + n]))
+        )
         at += n
     return out
 
 
-def loads(model: Model, now: Context) -> tuple[list[Lane], LinkForces]:
+def loads(model: Model, context: Context) -> tuple[list[Lane], LinkForces]:
     """Sum the generalized forces, one lane per dof, and the forces on links."""
     passive, driven, later = Loads(), Loads(), []
-    for element, seen in element_contexts(model, now):
+    found = element_contexts(model, context)
+    scales = {} if context.ctrl is None else tendon_scales(model, found)
+    for element, seen in found:
         if element.after_actuators:
             later.append((element, seen))
         elif not element.actuates:
             passive = passive + _given(element, seen)
-        elif now.ctrl is not None:
-            driven = driven + _given(element, seen)
-    driven = _limited(model, driven, now)
+        elif context.ctrl is not None:
+            driven = driven + _given(element, replace(seen, scales=scales) if scales else seen)
+    driven = _limited(model, driven, context)
     for element, seen in later:
         passive = passive + _given(element, replace(seen, driven=driven.tau))
     tau = [add(passive.tau.get(i, 0.0), driven.tau.get(i, 0.0)) for i in range(model.nv)]
@@ -72,12 +78,31 @@ def _given(element: Element, seen: Context) -> Loads:
     return found
 
 
-def _limited(model: Model, driven: Loads, now: Context) -> Loads:
+def tendon_scales(model: Model, found: list[tuple[Element, Context]]) -> dict[int, Lane]:
+    """Compute, by tendon, the factor that brings the sum of its actuator forces into its range."""
+    out: dict[int, Lane] = {}
+    if model.tendons is None:
+        return out
+    sums: dict[int, list[Lane]] = {}
+    limits = table(model.tendons.forcerange, found[0][1].q.dtype)
+    known = isinstance(limits, np.ndarray)
+    for element, seen in found:
+        i = element.tendon if isinstance(element, Actuator) else -1
+        if i >= 0 and not (known and bool(np.isinf(limits[i]).all())):
+            sums.setdefault(i, []).append(element.force(seen))
+    for i, forces in sums.items():
+        force = total(forces)
+        some = force != 0
+        out[i] = jnp.where(some, clip(force, limits, i) / jnp.where(some, force, 1.0), 1.0)
+    return out
+
+
+def _limited(model: Model, driven: Loads, context: Context) -> Loads:
     """Clip the sum of the actuator forces to the force ranges of the joints."""
-    top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
+    top, limits = model.topology, table(model.joints.forcerange, context.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
     if driven.wrenches and not endless:  # site forces also count towards the limits of joints
-        summed = now.generalized_of(driven.wrenches)
+        summed = context.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
     tau = dict(driven.tau)
     for j, (joint, at) in enumerate(zip(top.joints, top.joint_v, strict=True)):
@@ -86,19 +111,19 @@ def _limited(model: Model, driven: Loads, now: Context) -> Loads:
     return Loads(tau, driven.wrenches)
 
 
-def states(model: Model, now: Context, dt: Any = None) -> jax.Array | None:
+def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
     """Compute x' (nx,), or x after a step dt if dt is given. Return None if nx is 0."""
     if not model.nx:
         return None
     found: list[Lane] = []
-    for element, seen in element_contexts(model, now):
+    for element, seen in element_contexts(model, context):
         if element.size:
             own = element.rate(seen) if dt is None else element.advance(seen, dt)
             if len(own) != element.size:
                 name = f"{type(element).__name__}.{'rate' if dt is None else 'advance'}"
                 raise InputError(f"{name} returned {len(own)} numbers, expected {element.size}")
             found += list(own)
-    return pack(found, now.x)
+    return pack(found, context.x)
 
 
 def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
@@ -136,14 +161,14 @@ def applied(
     dt: step in s that elements read, or None.
     advance: return x after the step instead of x'.
     """
-    now = Context.of(model, t, state, inputs.ctrl, dt)
-    tau, f_ext = loads(model, now)
+    context = Context.of(model, t, state, inputs.ctrl, dt)
+    tau, f_ext = loads(model, context)
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
-        given = wrenches_to_links(now.links.driver, now.links.joints, inputs.wrenches)
+        given = wrenches_to_links(context.links.driver, context.links.joints, inputs.wrenches)
         f_ext = add_forces(f_ext, given)
-    return pack(tau, state.v), f_ext, states(model, now, dt if advance else None)
+    return pack(tau, state.v), f_ext, states(model, context, dt if advance else None)
 
 
 @algorithm("state", "ctrl", "t")
@@ -177,10 +202,10 @@ def applied_forces(
     """
     if not model.nv:
         return jnp.zeros(0, state.q.dtype)
-    now = Context.of(model, t, state, ctrl)
-    tau, f_ext = loads(model, now)
+    context = Context.of(model, t, state, ctrl)
+    tau, f_ext = loads(model, context)
     if f_ext:
-        summed = now.generalized_of(f_ext)
+        summed = context.generalized_of(f_ext)
         tau = [add(x, summed[i]) for i, x in enumerate(tau)]
     return pack(tau, state.v)
 
@@ -201,6 +226,6 @@ def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
         0.0
     """
     state = State(q, jnp.zeros(model.nv, q.dtype), model.start(q.dtype))
-    now = Context.of(model, 0.0, state, None)
-    energy = total(element.energy(seen) for element, seen in element_contexts(model, now))
+    context = Context.of(model, 0.0, state, None)
+    energy = total(element.energy(seen) for element, seen in element_contexts(model, context))
     return jnp.asarray(energy, q.dtype)

@@ -25,7 +25,8 @@ from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
-from rbjax.model.leaves import site_transform, table
+from rbjax.model import Frame as NamedFrame
+from rbjax.model.leaves import frame_transform, site_transform, table
 from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
@@ -55,6 +56,10 @@ class Context:
     #: generalized forces of the actuators by dof, clipped to the joints' force ranges; only for
     #: elements with `after_actuators`
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: factors, by tendon, of the forces of its actuators, which keep their sum within its range
+    scales: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: accelerations and forces that sensors read (`rbjax.sensors.Solution`), or None
+    solution: Any = field(default=None, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -114,6 +119,11 @@ class Context:
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
+    def frame(self, at: NamedFrame) -> Frame:
+        """Return the frame of an `rb.Frame`."""
+        body, placed = frame_transform(self.model, at, self.q.dtype)
+        return self.body(body).then(placed)
+
     def joint(self, joint: str | int) -> Joint:
         """Return a joint with its coordinates q and v."""
         top = self.model.topology
@@ -160,6 +170,12 @@ class Frame:
         return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
 
     @property
+    def on_link(self) -> Transform:
+        """The pose in the link that carries the frame."""
+        still = Transform(Mat3.identity(), Vec3.zero())
+        return functools.reduce(Transform.then, self._placed, still)
+
+    @property
     def position(self) -> Vec3:
         """The origin of the frame in the world, m."""
         return self.pose.p
@@ -185,7 +201,7 @@ class Frame:
         return self.rotation @ self.twist.ang
 
     @cached_property
-    def _accelerated(self) -> Motion:
+    def own_acceleration(self) -> Motion:
         """The angular and classical linear acceleration at the frame's origin, in frame axes."""
         V, a = self._links.twist(self.link), self._links.acceleration(self.link)
         for X in self._placed:
@@ -197,13 +213,13 @@ class Frame:
     def acceleration(self) -> Vec3:
         """The acceleration of the frame's origin in world axes, m/s^2, without gravity. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.lin
+        return self.rotation @ self.own_acceleration.lin
 
     @cached_property
     def angular_acceleration(self) -> Vec3:
         """The angular acceleration in world axes, rad/s^2. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.ang
+        return self.rotation @ self.own_acceleration.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
         """Make loads of a force (3,) N and a torque (3,) N m in world axes.
@@ -286,11 +302,13 @@ def _vector(where: str, x: Any) -> Vec3:
     return Vec3(*(x[i] for i in range(3)))
 
 
-def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any) -> Loads:
+def on_each(
+    context: Context, bodies: Sequence[int], act: Callable[..., Loads], *numbers: Any
+) -> Loads:
     """Sum act(frame, *numbers) over bodies.
 
     Args:
-        now: context.
+        context: context.
         bodies: body indices, which may repeat. Bodies fixed to the world are skipped.
         act: function of a body's frame and its parameters that returns `Loads`, a sum of results
             of `push`. It computes with lanes and does not branch on their values. If it pushes only
@@ -303,26 +321,26 @@ def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *num
         >>> import rbjax as rb, jax
         >>> class Breeze(rb.forces.Element):
         ...     drag: jax.Array  # (nb,) N s/m
-        ...     def loads(self, now):
+        ...     def loads(self, context):
         ...         slow = lambda body, drag: body.push(body.velocity * -drag)
-        ...         return rb.forces.on_each(now, range(now.model.nb), slow, self.drag)
+        ...         return rb.forces.on_each(context, range(context.model.nb), slow, self.drag)
         >>> model = rb.load("double_pendulum")
         >>> model = model.with_forces(Breeze(jax.numpy.ones(2)))
         >>> rb.applied_forces(model, model.default_state()).tolist()
         [0.0, 0.0]
     """
-    moving = [i for i, b in enumerate(bodies) if now.model.topology.body_links[b] != WORLD]
-    columns = jax.tree.map(lambda x: _lanes(table(x, now.q.dtype)), numbers)
+    moving = [i for i, b in enumerate(bodies) if context.model.topology.body_links[b] != WORLD]
+    columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
 
     def written_out() -> Loads:
         each = ((bodies[i], _known(lane, columns, i)) for i in moving)
-        return sum((act(now.body(b), *own) for b, own in each), Loads())
+        return sum((act(context.body(b), *own) for b, own in each), Loads())
 
-    if isinstance(now.links.driver, Unrolled) or not moving:
+    if isinstance(context.links.driver, Unrolled) or not moving:
         return written_out()
     rows, index = np.array(moving), np.array(bodies)[moving]
-    own = _known(now.links.column, columns, rows)
-    leaves, tree = jax.tree.flatten((*now.links.columns(index), own))
+    own = _known(context.links.column, columns, rows)
+    leaves, tree = jax.tree.flatten((*context.links.columns(index), own))
 
     def one(lanes: list) -> Force:
         left = iter(lanes)
@@ -333,13 +351,13 @@ def on_each(now: Context, bodies: Sequence[int], act: Callable[..., Loads], *num
         if found.tau or isinstance(found.wrenches, Force) or found.wrenches.keys() - {_OWN}:
             raise _NotItsOwn
         force = found.wrenches.get(_OWN, Force.zero())
-        return as_arrays(force, jnp.zeros((), now.q.dtype))
+        return as_arrays(force, jnp.zeros((), context.q.dtype))
 
     try:
         forces = jax.lax.map(one, [x for x in leaves if not is_literal(x)])
     except _NotItsOwn:
         return written_out()
-    return Loads({}, now.links.scattered(index, forces))
+    return Loads({}, context.links.scattered(index, forces))
 
 
 #: placeholder index of the body's link in a loop over bodies
@@ -352,7 +370,10 @@ class _NotItsOwn(Exception):
 
 
 class _Still:
-    """The pose and twist of one link, in place of `LinkMotion`."""
+    """The pose and twist of one link, with the interface of `LinkMotion`.
+
+    `on_each` uses it in its loop over the bodies.
+    """
 
     def __getattr__(self, name: str) -> Any:
         raise _NotItsOwn

@@ -88,8 +88,8 @@ class Element(Record):
         >>> class Wind(rb.forces.Element):
         ...     air: jax.Array  # (3,) m/s in the world
         ...     drag: jax.Array  # N s/m
-        ...     def loads(self, now):
-        ...         trunk = now.body("trunk")
+        ...     def loads(self, context):
+        ...         trunk = context.body("trunk")
         ...         return trunk.push((trunk.velocity - self.air) * -self.drag)
         >>> model = rb.load("quadruped").with_forces(Wind(jnp.array([8.0, 0, 0]), jnp.array(5.0)))
         >>> rb.applied_forces(model, model.default_state())[:3].tolist()
@@ -127,30 +127,34 @@ class Element(Record):
 
     @property
     def after_actuators(self) -> bool:
-        """Whether `loads` reads `now.driven`, the generalized forces of all actuators."""
+        """Whether `loads` reads the context's `driven`, the forces of all actuators."""
         return False
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         """Compute the forces on the robot at an instant."""
-        raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
+        raise NotImplementedError(
+            f"{type(self).__name__} has no method loads(self, context) -> Loads"
+        )
 
     def start(self) -> jax.Array:
         """Return the initial state (size,), used unless a `State` contains x."""
         return jnp.zeros(self.size)
 
-    def rate(self, now: Context) -> Sequence[Lane]:
+    def rate(self, context: Context) -> Sequence[Lane]:
         """Compute the rate (size,) of the element's own state."""
         raise NotImplementedError(
             f"{type(self).__name__} has a state of size {self.size}, and no method "
-            "rate(self, now) -> (size,)"
+            "rate(self, context) -> (size,)"
         )
 
-    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
+    def advance(self, context: Context, dt: Any) -> Sequence[Lane]:
         """Compute the element's own state after a step dt of `semi_implicit_euler`. The default is
         x + dt x'; override it for limits or an exact solution."""
-        return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
+        return [
+            add(x, mul(dt, rate)) for x, rate in zip(context.x, self.rate(context), strict=True)
+        ]
 
-    def implicit_stiffness(self, now: Context, h: Any) -> Mapping[int, Lane]:
+    def implicit_stiffness(self, context: Context, h: Any) -> Mapping[int, Lane]:
         """Compute h D / 2 + h^2 K / 4 by dof, with -D and -K the derivatives of the generalized
         forces by velocity and position. An implicit step of length h adds these diagonal terms to
         its iteration matrix. They affect only its convergence."""
@@ -161,7 +165,7 @@ class Element(Record):
         integrator."""
         return list(x)
 
-    def energy(self, now: Context) -> Lane:
+    def energy(self, context: Context) -> Lane:
         """Compute the potential energy of the element, J."""
         return 0.0
 

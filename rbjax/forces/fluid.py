@@ -95,7 +95,11 @@ class InertiaBoxFluid(Element):
         wind: Any = (0.0, 0.0, 0.0),
         bodies: Sequence[str] | None = None,
     ) -> InertiaBoxFluid:
-        """Make the fluid around bodies of a model, by name; None: around all that can move."""
+        """Make the fluid around bodies of a model.
+
+        bodies: names of the bodies; None for all bodies that can move.
+        density: kg/m^3. viscosity: Pa s. wind: (3,) velocity of the fluid in the world, m/s.
+        """
         top, dtype = model.topology, model.bodies.mass.dtype
         if bodies is None:
             some = [b for b, k in enumerate(top.body_links) if k != WORLD]
@@ -109,10 +113,13 @@ class InertiaBoxFluid(Element):
         rho, mu, wind = (jnp.asarray(x, dtype) for x in (density, viscosity, wind))
         return cls(rho, mu, wind, orientation, tuple(index))
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         """Compute the drag on the box of each body."""
-        com = now.model.bodies.com[np.array(self.bodies)]
-        wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
+        com = context.model.bodies.com[np.array(self.bodies)]
+        wind, axes = (
+            in_lanes(self.wind, context),
+            rotations(table(self.orientation, context.q.dtype)),
+        )
 
         def dragged(frame: Frame, axes: Mat3, com: Vec3, drag: _Drag) -> Loads:
             box = frame.then(Transform(axes, com))
@@ -120,13 +127,13 @@ class InertiaBoxFluid(Element):
             torque = _against(V.ang, drag.viscous_torque, drag.torque)
             return box.push_own(Force(torque, _against(V.lin, drag.viscous_force, drag.force)))
 
-        return on_each(now, self.bodies, dragged, axes, com, self._drag(now))
+        return on_each(context, self.bodies, dragged, axes, com, self._drag(context))
 
-    def _drag(self, now: Context) -> _Drag:
+    def _drag(self, context: Context) -> _Drag:
         """Compute the drag coefficients of the boxes, as columns over the bodies."""
-        bodies, index = now.model.bodies, np.array(self.bodies)
+        bodies, index = context.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
-        xp, found = tables(now.q.dtype, *own, self.density, self.viscosity)
+        xp, found = tables(context.q.dtype, *own, self.density, self.viscosity)
         mass, inertia, orientation, rho, mu = found
         full = Mat3(*(inertia[:, i, j] for i in range(3) for j in range(3)))
         moments = Vec3(*(axis.dot(full @ axis) for axis in rotations(orientation).columns))
@@ -149,7 +156,7 @@ class InertiaBoxFluid(Element):
 
 
 class _Drag(NamedTuple):
-    """Drag coefficients: by velocity, and along each axis by its square."""
+    """Drag coefficients of inertia boxes: viscous, and quadratic along each axis."""
 
     viscous_force: Lane
     viscous_torque: Lane
@@ -158,7 +165,7 @@ class _Drag(NamedTuple):
 
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
-    """Compute the drag -(k + c_i |u_i|) u_i."""
+    """Compute the drag -(viscous + quadratic_i |u_i|) u_i along each axis i."""
     return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 
@@ -175,9 +182,9 @@ def rotations(orientation: Any) -> Mat3:
     return quaternion_matrix(*(orientation[:, k] for k in range(4)))
 
 
-def in_lanes(vector: Any, now: Context) -> Vec3:
+def in_lanes(vector: Any, context: Context) -> Vec3:
     """Convert a vector (3,) of an element to lanes."""
-    x = table(vector, now.q.dtype)
+    x = table(vector, context.q.dtype)
     return Vec3(*(lane(x, k) for k in range(3)))
 
 
@@ -232,23 +239,26 @@ class EllipsoidFluid(Element):
         rows = {"semi_axes": (n, 3), "position": (n, 3), "orientation": (n, 4)}
         return shared | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         """Compute the forces on each ellipsoid."""
-        wind, axes = in_lanes(self.wind, now), rotations(table(self.orientation, now.q.dtype))
+        wind, axes = (
+            in_lanes(self.wind, context),
+            rotations(table(self.orientation, context.q.dtype)),
+        )
 
         def acted(frame: Frame, axes: Mat3, position: Vec3, own: _Ellipsoid) -> Loads:
             here = frame.then(Transform(axes, position))
             return here.push_own(_wrench(relative_twist(here, wind), own))
 
-        return on_each(now, self.bodies, acted, axes, self.position, self._ellipsoids(now))
+        return on_each(context, self.bodies, acted, axes, self.position, self._ellipsoids(context))
 
-    def _ellipsoids(self, now: Context) -> _Ellipsoid:
+    def _ellipsoids(self, context: Context) -> _Ellipsoid:
         """Compute the coefficients of the forces, as columns over the ellipsoids."""
         drags = self.blunt_drag, self.slender_drag, self.angular_drag
         lifts = self.kutta_lift, self.magnus_lift
         fluid = self.virtual_mass, self.virtual_inertia, self.density, self.viscosity
         own = self.semi_axes, self.interaction
-        xp, found = tables(now.q.dtype, *own, *drags, *lifts, *fluid)
+        xp, found = tables(context.q.dtype, *own, *drags, *lifts, *fluid)
         semi_axes, scale, blunt, slender, angular, kutta, magnus, *virtual, rho, mu = found
         a, b, c = r = [semi_axes[:, k] for k in range(3)]
         longest, shortest = (f(f(a, b), c) for f in (xp.maximum, xp.minimum))

@@ -58,30 +58,30 @@ class GravityCompensation(Element):
     def shapes(self, model: Model) -> Shapes:
         return {"fraction": (len(self.bodies),)}
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         f_ext = Loads()
-        for frame, force in self._lifted(now):
+        for frame, force in self._lifted(context):
             f_ext = f_ext + frame.push(force)
         if self.joints is None and not self.actuated:
             return f_ext
         if not f_ext.wrenches:
             return Loads()
-        top, tau = now.model.topology, now.generalized_of(f_ext.wrenches)
+        top, tau = context.model.topology, context.generalized_of(f_ext.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
-        joints = [now.model.joint(j) for j in named]
+        joints = [context.model.joint(j) for j in named]
         at = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]
         return Loads({i: tau[i] for i in at})
 
-    def energy(self, now: Context) -> Lane:
+    def energy(self, context: Context) -> Lane:
         """Compute the energy sum of c m g . p if the forces act on all joints. On only some joints
         the forces are not conservative, and the energy is 0."""
         if self.joints is not None:
             return 0.0
-        return total(-inner(force, frame.position) for frame, force in self._lifted(now))
+        return total(-inner(force, frame.position) for frame, force in self._lifted(context))
 
-    def _lifted(self, now: Context) -> list:
+    def _lifted(self, context: Context) -> list:
         """List the frame at the center of mass of each body, and the force on it."""
-        model, dtype, out = now.model, now.q.dtype, []
+        model, dtype, out = context.model, context.q.dtype, []
         mass, com = table(model.bodies.mass, dtype), table(model.bodies.com, dtype)
         fraction, gravity = table(self.fraction, dtype), table(model.gravity, dtype)
         for n, name in enumerate(self.bodies):
@@ -89,5 +89,7 @@ class GravityCompensation(Element):
             lift = mul(-1.0, mul(lane(fraction, n), lane(mass, b)))
             force = Vec3(*(mul(lift, lane(gravity, k)) for k in range(3)))
             if not all(map(is_zero, force)):
-                out.append((now.body(b).at(Vec3(*(lane(com[:, k], b) for k in range(3)))), force))
+                out.append(
+                    (context.body(b).at(Vec3(*(lane(com[:, k], b) for k in range(3)))), force)
+                )
         return out

@@ -14,6 +14,7 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Vec3, quaternion_matrix
 from rbjax.model import WORLD
+from rbjax.model import Frame as FixedFrame
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.record import Record, check_fields
@@ -28,6 +29,8 @@ class Place(Record):
     position: (3,) m in the frame of the body or site.
     orientation: (4,) quaternion in the frame of the body or site.
     body, site: name or index; static.
+
+    Where an axis does not matter, an `rb.Frame` is accepted in place of a `Place`.
 
     Example:
         >>> import rbjax as rb
@@ -62,18 +65,18 @@ class Place(Record):
         axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
         return cls(point, turn_z_to(axis), body, site)
 
-    def frame(self, now: Context) -> Frame:
+    def frame(self, context: Context) -> Frame:
         """Return the frame at an instant."""
-        quat = table(self.orientation, now.q.dtype)
+        quat = table(self.orientation, context.q.dtype)
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
-        return _named_frame(self, now).then(Transform(turn, self._position(now)))
+        return _named_frame(self, context).then(Transform(turn, self._position(context)))
 
-    def point(self, now: Context) -> Frame:
+    def point(self, context: Context) -> Frame:
         """Return the frame with the same origin, in the axes of the body or site."""
-        return _named_frame(self, now).at(self._position(now))
+        return _named_frame(self, context).at(self._position(context))
 
-    def _position(self, now: Context) -> Vec3:
-        p = table(self.position, now.q.dtype)
+    def _position(self, context: Context) -> Vec3:
+        p = table(self.position, context.q.dtype)
         return Vec3(*(lane(p, k) for k in range(3)))
 
 
@@ -90,11 +93,28 @@ def _check_named(place: Any) -> None:
             raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
 
 
-def _named_frame(place: Any, now: Context) -> Frame:
+def _named_frame(place: Any, context: Context) -> Frame:
     """Return the frame of the body or site of a place; the world's if both are None."""
     if place.site is not None:
-        return now.site(place.site)
-    return now.body(WORLD if place.body is None else place.body)
+        return context.site(place.site)
+    return context.body(WORLD if place.body is None else place.body)
+
+
+def end() -> Any:
+    """Declare an end of an element or a constraint: a `Place`, or an `rb.Frame`."""
+    return eqx.field(converter=_as_place)
+
+
+def _as_place(given: Any) -> Any:
+    """Convert an `rb.Frame` to a place. Return anything else unchanged."""
+    if not isinstance(given, FixedFrame):
+        return given
+    body, point, site = given
+    if (body is None) == (site is None):
+        got = "neither" if body is None else "both"
+        raise InputError(f"Frame: got {got} of body and site, expected exactly one")
+    point = (0.0, 0.0, 0.0) if point is None else point
+    return Place.on(body=None if body == "world" else body, site=site, point=point)
 
 
 def check_places(record: Any) -> None:
@@ -103,8 +123,8 @@ def check_places(record: Any) -> None:
         got = getattr(record, end)
         if not isinstance(got, Place):
             raise InputError(
-                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place: "
-                "rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
+                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place or an "
+                "rb.Frame: rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
             )
 
 

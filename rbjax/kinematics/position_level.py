@@ -274,7 +274,8 @@ _program = compiled(_inlined, static_argnames=("searches", "how"))
 
 
 def _best(found: Found, weights: Any) -> Found:
-    """Return the search that converged in the fewest steps, or the one with the least error."""
+    """Return the result of the search that converged in the fewest steps, or else of the least
+    error."""
     side = found.converged.shape[0]
     off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)

@@ -18,6 +18,7 @@ from rbjax.model.model import (
     Sites,
     State,
 )
+from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "Partition",
     "Prepared",
     "Sites",
+    "SolverParameters",
     "State",
     "Topology",
     "with_constants",

@@ -22,13 +22,22 @@ class Geoms(Record):
         friction: (ng, 3) sliding, torsional (m) and rolling (m).
         solref: (ng, 2) reference of the contact, as in MuJoCo.
         solimp: (ng, 5) impedance of the contact, as in MuJoCo.
-        margin, gap: (ng,) m, a contact exists below the distance margin, acts below margin - gap.
+        margin: (ng,) m. A contact acts below the sum of the margins of both geoms.
+        gap: (ng,) m. A contact exists below the sum of the margins and gaps of both geoms.
+        solmix: (ng,) weight of the solref and solimp of this geom in those of a contact.
+        pair_friction: (n, 5) sliding (2), torsional (m) and rolling (2, m) of explicit pairs.
+        pair_solref, pair_solreffriction: (n, 2) references, normal and tangential; zero for the
+            tangents means that they have the reference of the normal.
+        pair_solimp: (n, 5) impedance.
+        pair_margin, pair_gap: (n,) m, in place of the sums.
         names, types: of each geom; a type is a name of MuJoCo, such as "box"; static.
         bodies: the body of each geom, -1 for the world; static.
         contype, conaffinity: bit masks of the pairs that may collide; static.
         condim, priority, group: as in MuJoCo; static.
         rgba: colour and opacity; static.
-        pairs: the pairs of geoms that may touch by the rules of the file; static.
+        pairs: the pairs of geoms that may touch by the rules of the file; static. The first n are
+            explicit: they have parameters of their own.
+        pair_condim: (n) condim of the explicit pairs; static.
     """
 
     size: jax.Array
@@ -39,6 +48,13 @@ class Geoms(Record):
     solimp: jax.Array
     margin: jax.Array
     gap: jax.Array
+    solmix: jax.Array
+    pair_friction: jax.Array
+    pair_solref: jax.Array
+    pair_solreffriction: jax.Array
+    pair_solimp: jax.Array
+    pair_margin: jax.Array
+    pair_gap: jax.Array
     names: tuple[str, ...] = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
     bodies: tuple[int, ...] = eqx.field(static=True)
@@ -49,3 +65,4 @@ class Geoms(Record):
     group: tuple[int, ...] = eqx.field(static=True)
     rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    pair_condim: tuple[int, ...] = eqx.field(static=True, default=())

@@ -21,6 +21,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
     """Replace a joint of a model by one of another kind, for `Model.with_joint`."""
     j, new, top = model.joint(name), kind_of(kind), model.topology
     old, joints, keys = top.joints[j], model.joints, model.keyframes
+    solver = model.solver
     given = _numbers(given, new, kind, joints.params.dtype)
     same, single = (new.nq, new.nv) == (old.nq, old.nv), new.nv == old.nv == 1
     if not same:
@@ -69,6 +70,9 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
             params=_spliced(joints.params, slice(before, before + len(old.defaults)), own),
         ),
         keyframes=dataclasses.replace(keys, q=along_q(keys.q), v=along_v(keys.v)),
+        solver=None
+        if solver is None
+        else solver.with_joint(j, top.joint_bodies[j], v, new.nv, limits=single),
         execution=model.execution.replace(zeros=None, constants=None),
     )
     return changed if model.execution.zeros is None else changed.fix_zeros()

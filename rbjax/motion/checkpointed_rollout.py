@@ -95,8 +95,8 @@ class CheckpointedRollout:
 
     @property
     def _turns(self) -> tuple[int, int, int]:
-        """The lengths of the nested loops: saved states, checkpoints per saved state, steps per
-        checkpoint."""
+        """The lengths of the three nested loops: number of saved states, of checkpoints per saved
+        state, and of steps per checkpoint."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
     def _forward(

@@ -101,7 +101,7 @@ def loop_stages(name: str) -> Integrator:
 def integrator_of(
     where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
 ) -> Integrator:
-    """Return the integrator for a dynamics: a given function, by name, or the default."""
+    """Return an integrator from its name, a given function, or the default of the dynamics."""
     formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))

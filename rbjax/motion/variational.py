@@ -82,7 +82,8 @@ class VariationalMidpoint:
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
-            """Compute R(w), F and x' at the midpoint."""
+            """Compute the residual R(w), the force F and the rate x' at the midpoint, for a mean
+            velocity w."""
             at = State(field.retract(q0, half * w), w, x)
             tau, f_ext, rate = field.forces(t + half, at, u)
             p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
@@ -125,7 +126,11 @@ def largest(x: jax.Array) -> jax.Array:
 def residual(
     top: Topology, half: Any, w: jax.Array, p: jax.Array, p0: jax.Array, force: jax.Array
 ) -> jax.Array:
-    """Compute the residual p - S E p0 - h/2 J F."""
+    """Compute the residual p - S E p0 - h/2 J F of the midpoint momentum p.
+
+    On attitudes S, E and J are 3 by 3 functions of half the rotation of the step. Elsewhere they
+    are 1. `half` is h / 2, and `force` is F.
+    """
 
     def turned(y: Vec3, p: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2, c3 = stumpff(y.dot(y), 1, 2, 3)
@@ -138,8 +143,11 @@ def residual(
 
 
 def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
-    """Compute the momentum after the step, p1 = E (E p0 + h F). E and F are those of
-    the module's docstring; `half` is h / 2."""
+    """Compute the momentum after the step, p1 = E (E p0 + h F).
+
+    On attitudes E rotates by minus half the rotation of the step. Elsewhere it is 1.
+    `half` is h / 2, and `force` is F.
+    """
 
     def turned(y: Vec3, p0: Vec3, force: Vec3) -> Vec3:
         c1, c2 = stumpff(y.dot(y), 1, 2)
@@ -149,7 +157,7 @@ def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Ar
 
 
 def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax.Array:
-    """Compute F = p' + w x p on attitudes, p' elsewhere."""
+    """Compute the force F at the midpoint: p' + w x p on attitudes, p' elsewhere."""
     return _on_attitudes(top, rate, lambda w, p, rate: rate + w.cross(p), w, p, rate)
 
 

@@ -32,8 +32,11 @@ ROW = 64  # paths are padded to multiples of this length, so that one program sm
 
 
 def drives() -> dict[str, Callable[..., Controls]]:
-    """Return the makers of controls by drive: name -> function of the turning radius in m, the
-    least length of a motion in m, and whether the robot may drive backwards."""
+    """Return the functions that make the `Controls` of a drive: name -> function.
+
+    Their arguments are the turning radius in m, the least length of a motion in m, and whether the
+    robot may drive backwards.
+    """
     return {
         "car": car_controls,
         "differential": differential_controls,

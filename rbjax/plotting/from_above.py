@@ -50,21 +50,21 @@ def vectors(p: Any, e: np.ndarray) -> np.ndarray:
     return np.stack([x * e[0] - y * e[1], x * e[1] + y * e[0]], -1)
 
 
-def places(vehicle: RobotModel, q: Any) -> Places:
+def places(model: RobotModel, q: Any) -> Places:
     """Compute the poses of bodies and wheels at coordinates q (..., nq)."""
-    found = _places(vehicle, jnp.asarray(q).reshape(-1, vehicle.nq))
+    found = _places(model, jnp.asarray(q).reshape(-1, model.nq))
     lead = np.shape(q)[:-1]
     return Places(*(np.asarray(x, float).reshape(*lead, *x.shape[1:]) for x in found))
 
 
 @compiled
-def _places(vehicle: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
+def _places(model: RobotModel, q: jax.Array) -> tuple[jax.Array, ...]:
     def one(q: jax.Array) -> tuple[jax.Array, ...]:
-        now = vehicle.context(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
-        n = now.n
-        origins, bodies = zip(*now.bodies(), strict=True)
+        context = model.context(State(q, jnp.zeros(model.nv), jnp.zeros(model.nx)))
+        n = context.n
+        origins, bodies = zip(*context.bodies(), strict=True)
         wheels = [
-            rotate(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
+            rotate(e, bodies[w.body]) for w, e in zip(n.wheels, context.shape.wheels, strict=True)
         ]
         tables = ([stack_lanes(x, q.dtype) for x in rows] for rows in (origins, bodies, wheels))
         return tuple(jnp.stack(x) for x in tables)
@@ -82,13 +82,13 @@ def centers(robot: Any, at: Places) -> np.ndarray:
 
 
 def wheel_forces(
-    vehicle: RobotModel, state: State, controls: Any, at: Places
+    model: RobotModel, state: State, ctrl: Any, at: Places
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the forces (m, 2) on wheels, N, and their sliding velocities (m, 2), m/s, in world
     axes."""
-    found = contacts(vehicle, state, controls)
+    found = contacts(model, state, ctrl)
     forces, sliding = np.asarray(found.forces), np.asarray(found.sliding)
-    turn = [at.bodies[wheel.body] for wheel in vehicle.robot.wheels]
+    turn = [at.bodies[wheel.body] for wheel in model.robot.wheels]
     return (
         np.array([vectors(f, e) for f, e in zip(forces, turn, strict=True)]),
         np.array([vectors(s, e) for s, e in zip(sliding, at.wheels, strict=True)]),

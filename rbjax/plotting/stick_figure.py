@@ -75,7 +75,7 @@ class _Skeleton:
         return self.com[body] if self.joints[body] else np.zeros(3)
 
     def held_at(self, body: int) -> Array:
-        """Compute the hub of a body in the frame of its parent, with joints at zero."""
+        """Compute the joint of a body (`hub`) in the frame of its parent, with joints at zero."""
         return self.position[body] + self.turn[body] @ self.hub(body)
 
     def _size(self) -> float:

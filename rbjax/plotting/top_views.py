@@ -35,21 +35,21 @@ from rbjax.wheeled.models.robot_model import RobotModel
 
 def top_view(
     ax: Axes,
-    vehicle: RobotModel,
+    model: RobotModel,
     path: Trajectory,
     *,
     robots: int = 5,
-    controls: Any = None,
+    ctrl: Any = None,
     grid: Any = None,
 ) -> None:
     """Draw a motion from above: the path of the chassis' origin, and the robot at some times.
 
     Args:
         ax: an axis.
-        vehicle: `rbjax.wheeled.at(robot, fidelity)`.
-        path: the trajectory of one vehicle, from `rbjax.wheeled.rollout`.
+        model: `rbjax.wheeled.at(robot, fidelity)`.
+        path: the trajectory of one robot, from `rbjax.wheeled.rollout`.
         robots: the number of times at which the robot is drawn, evenly along the saved states.
-        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw also the forces on
+        ctrl: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw also the forces on
             wheels, at a fidelity that has them. The longest arrow is as long as the robot.
         grid: a map, an `rbjax.planning.OccupancyGrid`.
 
@@ -66,34 +66,34 @@ def top_view(
     """
     check_axis("top_view", ax)
     robots = min(integer("top_view", "robots", robots, least=0), 10_000)
-    _check("top_view", path, controls, vehicle)
+    _check("top_view", path, ctrl, model)
     q = np.asarray(path.q)
     _ground(ax, grid)
     ax.plot(q[:, 0], q[:, 1], color=ORANGE, lw=1.2, zorder=1)
     shown = np.unique(np.linspace(0, len(q) - 1, max(1, robots)).round().astype(int))
     at, forces = [], []
     for k in shown:
-        here = places(vehicle, q[k])
-        ax.update_datalim(Drawing(ax, vehicle.robot).show(here))
-        if controls is not None:
-            given = _given(controls, path.ts[k], path.state(int(k)), k)
-            force, _ = wheel_forces(vehicle, path.state(int(k)), given, here)
-            at.append(centers(vehicle.robot, here))
+        here = places(model, q[k])
+        ax.update_datalim(Drawing(ax, model.robot).show(here))
+        if ctrl is not None:
+            given = _given(ctrl, path.ts[k], path.state(int(k)), k)
+            force, _ = wheel_forces(model, path.state(int(k)), given, here)
+            at.append(centers(model.robot, here))
             forces.append(force)
     if forces:
         arrows = np.concatenate(forces)
-        quiver(ax, np.concatenate(at), arrows * _scale(vehicle, arrows), FORCES)
+        quiver(ax, np.concatenate(at), arrows * _scale(model, arrows), FORCES)
     ax.autoscale_view()
     ax.set_aspect("equal")
     ax.set(xlabel="x [m]", ylabel="y [m]")
 
 
 def animate_top_view(
-    vehicle: RobotModel,
+    model: RobotModel,
     path: Trajectory,
     file: str | Path,
     *,
-    controls: Any = None,
+    ctrl: Any = None,
     grid: Any = None,
     footprint: Any = None,
     fps: float = 25.0,
@@ -109,10 +109,10 @@ def animate_top_view(
     robot.
 
     Args:
-        vehicle: `rbjax.wheeled.at(robot, fidelity)`.
-        path: the trajectory of one vehicle, from `rbjax.wheeled.rollout`.
+        model: `rbjax.wheeled.at(robot, fidelity)`.
+        path: the trajectory of one robot, from `rbjax.wheeled.rollout`.
         file: a path with the suffix .gif, or .mp4, which requires ffmpeg.
-        controls: (nu,), (T, nu) or a function (t, state) -> (nu,), at a fidelity with forces on
+        ctrl: (nu,), (T, nu) or a function (t, state) -> (nu,), at a fidelity with forces on
             wheels: "slipping" or "constrained".
         grid: a map, an `rbjax.planning.OccupancyGrid`.
         footprint: an `rbjax.planning.Footprint` of the chassis.
@@ -140,9 +140,9 @@ def animate_top_view(
     """
     file = Path(file)
     movie_files.check("animate_top_view", file, (".gif", ".mp4"))
-    _check("animate_top_view", path, controls, vehicle)
+    _check("animate_top_view", path, ctrl, model)
     check_positive("animate_top_view", fps=fps, speed=speed)
-    film = _Film(vehicle, path, controls, fps, speed)
+    film = _Film(model, path, ctrl, fps, speed)
     pictures = film.pictures(grid, footprint, title, speed, size)
     movie_files.write(file, pictures, len(film.ts), fps, progress)
     return file
@@ -151,26 +151,24 @@ def animate_top_view(
 class _Film:
     """The frames of a motion: coordinates, poses of parts, forces and sliding velocities."""
 
-    def __init__(
-        self, vehicle: RobotModel, path: Trajectory, controls: Any, fps: float, speed: float
-    ):
+    def __init__(self, model: RobotModel, path: Trajectory, ctrl: Any, fps: float, speed: float):
         ts = np.asarray(path.ts, float)
         kept, self.ts = schedule("animate_top_view", ts, np.asarray(path.q), fps, speed)
-        ts, count, self.vehicle = ts[:kept], len(self.ts), vehicle
+        ts, count, self.model = ts[:kept], len(self.ts), model
         self.q, v, x = (_between(self.ts, ts, table) for table in (path.q, path.v, path.x))
-        self.places = places(vehicle, self.q)
-        self.at = np.array([centers(vehicle.robot, self.places.at(k)) for k in range(count)])
+        self.places = places(model, self.q)
+        self.at = np.array([centers(model.robot, self.places.at(k)) for k in range(count)])
         self.forces = self.sliding = None
-        if controls is not None:
+        if ctrl is not None:
             last = np.clip(np.searchsorted(ts, self.ts, side="right") - 1, 0, len(ts) - 1)
             found = []
             for k in range(count):
                 state = State(self.q[k], v[k], None if x is None else x[k])
-                given = _given(controls, self.ts[k], state, last[k])
-                found.append(wheel_forces(vehicle, state, given, self.places.at(k)))
+                given = _given(ctrl, self.ts[k], state, last[k])
+                found.append(wheel_forces(model, state, given, self.places.at(k)))
             forces, sliding = (np.array(rows) for rows in zip(*found, strict=True))
-            self.forces = forces * _scale(vehicle, forces)
-            self.sliding = sliding * _scale(vehicle, sliding)
+            self.forces = forces * _scale(model, forces)
+            self.sliding = sliding * _scale(model, sliding)
 
     def pictures(
         self, grid: Any, footprint: Any, title: str, speed: float, size: tuple[int, int]
@@ -181,12 +179,12 @@ class _Film:
         _ground(ax, grid)
         ax.set(xlabel="x [m]", ylabel="y [m]", title=title)
         ax.set_aspect("equal")
-        margin = 0.75 * reach(self.vehicle.robot)
+        margin = 0.75 * reach(self.model.robot)
         points = np.concatenate([self.at.reshape(-1, 2), self.q[:, :2]])
         low, high = points.min(0) - margin, points.max(0) + margin
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         (way,) = ax.plot([], [], color=ORANGE, lw=1.2, zorder=1)
-        robot = Drawing(ax, self.vehicle.robot)
+        robot = Drawing(ax, self.model.robot)
         discs = None if footprint is None else _Discs(ax, footprint)
         arrows = [
             (quiver(ax, self.at[0], table[0], color), table)
@@ -234,10 +232,10 @@ def _ground(ax: Axes, grid: Any) -> None:
     ax.imshow(cells, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=2, zorder=0)
 
 
-def _scale(vehicle: RobotModel, arrows: np.ndarray) -> float:
-    """Compute the factor of arrows by which the longest one is as long as the robot."""
+def _scale(model: RobotModel, arrows: np.ndarray) -> float:
+    """Compute the factor that scales the longest arrow to the length of the robot."""
     longest = float(np.hypot(arrows[..., 0], arrows[..., 1]).max())
-    return reach(vehicle.robot) / longest if longest > 1e-9 else 0.0
+    return reach(model.robot) / longest if longest > 1e-9 else 0.0
 
 
 def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
@@ -248,23 +246,23 @@ def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
     return np.stack(columns, -1) if columns else np.zeros((len(t), 0))
 
 
-def _given(controls: Any, t: Any, state: State, k: int) -> Any:
-    """Return the controls at a time."""
-    if callable(controls):
-        return controls(t, jax.tree.map(jax.numpy.asarray, state))
-    return controls if np.ndim(controls) == 1 else controls[k]
+def _given(ctrl: Any, t: Any, state: State, k: int) -> Any:
+    """Return the controls (nu,) at time t, which is the k-th time of the motion."""
+    if callable(ctrl):
+        return ctrl(t, jax.tree.map(jax.numpy.asarray, state))
+    return ctrl if np.ndim(ctrl) == 1 else ctrl[k]
 
 
-def _check(where: str, path: Trajectory, controls: Any, vehicle: RobotModel) -> None:
-    if not isinstance(vehicle, RobotModel):
-        raise InputError(f"{where}: vehicle is {type(vehicle).__name__}, expected wheeled.at(...)")
+def _check(where: str, path: Trajectory, ctrl: Any, model: RobotModel) -> None:
+    if not isinstance(model, RobotModel):
+        raise InputError(f"{where}: model is {type(model).__name__}, expected wheeled.at(...)")
     if not isinstance(path, Trajectory):
         raise InputError(f"{where}: path is {type(path).__name__}, expected a Trajectory")
     if path.q.ndim != 2:
         raise InputError(f"{where}: path.q has shape {path.q.shape}, expected (T, nq): one motion")
-    due = [(vehicle.nu,), (len(path.q), vehicle.nu)]
-    if controls is not None and not callable(controls) and np.shape(controls) not in due:
+    due = [(model.nu,), (len(path.q), model.nu)]
+    if ctrl is not None and not callable(ctrl) and np.shape(ctrl) not in due:
         raise InputError(
-            f"{where}: controls have shape {np.shape(controls)}, expected {due[0]}, or {due[1]}, "
+            f"{where}: ctrl has shape {np.shape(ctrl)}, expected {due[0]}, or {due[1]}, "
             "one row for each saved state, or a function (t, state)"
         )

@@ -138,7 +138,7 @@ def control_method(
 
 def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int) -> Trial:
     def run(ctrls: jax.Array) -> Any:
-        return solve(problem, start, method=name, ctrls=ctrls, iterations=iterations)
+        return solve(problem, start, method=name, ctrl=ctrls, iterations=iterations)
 
     one = run(guesses[0])
     ms = 1e3 * fastest(lambda: jax.block_until_ready(run(guesses[0]).cost))

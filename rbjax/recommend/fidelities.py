@@ -224,7 +224,7 @@ def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> Fidel
 
 
 def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple[Demand, float]:
-    """Compute the traction that rolling requires, and the time at which a wheel lifts."""
+    """Compute the traction that rolling requires, and the time of the first wheel lift, s."""
     unknown = Demand(math.nan, math.nan)
     slipping, *others = (run.models[name] for name in names)
     if not isinstance(slipping, Slipping):

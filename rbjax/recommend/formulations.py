@@ -292,7 +292,8 @@ class ConstrainedRuns(HalvedSteps):
         return self.state, jnp.asarray(0.0), jnp.asarray(self.dt(k)), self._each << k
 
     def motion(self, name: str) -> Callable[..., State]:
-        """Return the function (state, t, dt, steps between looks) -> states at `times`."""
+        """Return the function (state, t, dt, steps between samples) -> states at the sample
+        `times`."""
         how: dict[str, Any] = {"integrator": self._integrator, "constraints": formulations()[name]}
 
         def run(state: State, t: Any, dt: Any, each: Any) -> State:
@@ -339,7 +340,7 @@ class ConstrainedRuns(HalvedSteps):
         )
 
     def _rows(self, q: jax.Array, t: np.ndarray) -> np.ndarray:
-        """Compute the scaled constraint Jacobian G M^-1/2 (looks, rows, nv)."""
+        """Compute the scaled constraint Jacobian G M^-1/2 (samples, rows, nv)."""
         G, M = (np.asarray(x) for x in self._matrices(q, t))
         return np.linalg.solve(np.linalg.cholesky(M), G.swapaxes(1, 2)).swapaxes(1, 2)
 

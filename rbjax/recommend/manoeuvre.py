@@ -67,24 +67,27 @@ class Manoeuvre(HalvedSteps):
         return jnp.asarray(1 << k), jnp.asarray(self.dt(k))
 
     def motion(self, name: str) -> Callable[..., State]:
-        """Return the function (parts of a step of dt, step of a part) -> states at `times`. The
-        first state is the initial one."""
+        """Return the function (number of parts of each step dt, length of a part) -> states at
+        `times`.
+
+        The first state is the initial one.
+        """
         model, counts = self.models[name], np.diff(self._ends)
 
         def run(parts: Any, h: Any) -> State:
-            now = model.context(self.start(model))
+            context = model.context(self.start(model))
 
             def once(_: Any, x: tuple[Any, Lists]) -> tuple[Any, Lists]:
                 i, y = x
                 u = self.control(i * h, i // parts, as_state(*y, jnp.float64))
                 given = [u[k] for k in range(model.nu)]
-                return i + 1, advance(model, now.n, y, given, h, "rk4")
+                return i + 1, advance(model, context.n, y, given, h, "rk4")
 
             def look(x: tuple[Any, Lists], count: Any) -> tuple[tuple[Any, Lists], State]:
                 x = jax.lax.fori_loop(0, count * parts, once, x)
                 return x, as_state(*x[1], jnp.float64)
 
-            begin = now.q, now.v, now.x
+            begin = context.q, context.v, context.x
             later = jax.lax.scan(look, (jnp.asarray(0), begin), counts)[1]
             first = as_state(*begin, jnp.float64)
             return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later)
@@ -131,8 +134,8 @@ class Manoeuvre(HalvedSteps):
         def look(state: State, u: jax.Array) -> jax.Array:
             def rates(y: jax.Array) -> jax.Array:
                 x = y[model.nv :] if model.nx else None
-                now = model.context(State(state.q, y[: model.nv], x), u)
-                out = [*model.accelerations(now), *model.tyre_rates(now)]
+                context = model.context(State(state.q, y[: model.nv], x), u)
+                out = [*model.accelerations(context), *model.tyre_rates(context)]
                 return stack_lanes(out, jnp.float64)
 
             y = state.v if state.x is None else jnp.concatenate([state.v, state.x])
@@ -164,9 +167,9 @@ def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) ->
     maximum over the total force on all wheels, and over the force of each shaft."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
-        now = rolling.context(state, u)
-        n = now.n
-        force = rolling.ground_forces(now)
+        context = rolling.context(state, u)
+        n = context.n
+        force = rolling.ground_forces(context)
         most, of_shafts = _traction(n, slipping)
         whole = jnp.hypot(force[0], force[1]) / most
         torques = force[2 + len(n.bodies) :]
@@ -195,8 +198,8 @@ def first_lift(run: Manoeuvre, slipping: Slipping, path: State) -> float:
     """Return the first time at which the load of a wheel is negative, s; inf if it never is."""
 
     def look(state: State, u: jax.Array) -> jax.Array:
-        now = slipping.context(state, u)
-        return stack_lanes(slipping.wheel_forces(now)[0], jnp.float64).min()
+        context = slipping.context(state, u)
+        return stack_lanes(slipping.wheel_forces(context)[0], jnp.float64).min()
 
     lifted = run.along(path, look) < 0
     return float(run.times[lifted.argmax()]) if lifted.any() else math.inf

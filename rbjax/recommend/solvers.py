@@ -230,7 +230,7 @@ def solver(
 
 
 def _light(model: Model) -> Model:
-    """Choose the driver that compiles fastest."""
+    """Return the model with the driver that compiles fastest."""
     rolls = model.driver == "auto" and model.nv > ROLLED_ABOVE
     return model.replace(driver="rolled") if rolls else model
 

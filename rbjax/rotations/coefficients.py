@@ -100,7 +100,7 @@ def _switch(k: int) -> float:
 
 
 def _series(x: jax.Array, k: int) -> jax.Array:
-    """Evaluate the series of c_k, whose error and its second derivative are below rounding."""
+    """Evaluate the series of c_k. Its error is below rounding, also in the second derivative."""
     double = x.dtype == jnp.float64
     terms = (13 if double else 8) if k < 2 else (16 if double else 10)
     return horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x)

@@ -35,8 +35,7 @@ class RootFinder(optx.AbstractRootFinder):
     Options:
         scale: size of the state, 1 by default.
         near: function (y, args) -> (value, None) whose Jacobian replaces that of the residual in
-            chord
-            iterations.
+            chord iterations.
         slope: function like `near`, used in chord and Newton iterations.
 
     Fields:

@@ -179,7 +179,11 @@ def _matrix(inertia: Any) -> jax.Array:
 
 
 class Consistency(NamedTuple):
-    """The conditions for inertial parameters of a body, and margins, negative if one fails."""
+    """The conditions for inertial parameters of a body, and their margin.
+
+    A body exists only if mass and principal moments are positive and no moment is larger than the
+    sum of the other two. The margin is negative if this fails.
+    """
 
     positive_definite: jax.Array  # mass and principal moments above zero
     triangle: jax.Array  # no principal moment is larger than the sum of the other two

@@ -53,7 +53,10 @@ def floats(
 def check_options(
     where: str, loss: Any = "squares", estimate_initial_state: Any = None, **lengths: Any
 ) -> None:
-    """Raise InputError unless loss, flag and lengths (s, positive, or None) are valid."""
+    """Raise InputError unless the loss, the flag and the lengths are valid.
+
+    lengths: by name, in s; None is valid.
+    """
     if not (isinstance(loss, str) and loss in ("squares", "huber")):
         raise InputError(f'{where}: loss is {loss!r}, expected "squares" or "huber"')
     if not (estimate_initial_state is None or isinstance(estimate_initial_state, bool)):

@@ -29,9 +29,9 @@ def tree(floating: bool = True) -> rb.Model:
 
 
 def rows_at(model: rb.Model, q, v, t=T, a=None) -> tuple[Context, Sequence[Row]]:
-    now = Context.of(model, t, rb.State(q, v), None)
-    now = now if a is None else now.accelerating(a)
-    return now, rows_of(model, now)
+    context = Context.of(model, t, rb.State(q, v), None)
+    context = context if a is None else context.accelerating(a)
+    return context, rows_of(model, context)
 
 
 def stacked(lanes) -> jax.Array:
@@ -43,7 +43,7 @@ def everything(model: rb.Model) -> dict[str, dict | jax.Array]:
     by the rate along a path and by velocities; the values at rest."""
     state = model.random_state(jax.random.key(3))
     a = jax.random.normal(jax.random.key(4), (model.nv,))
-    now, rows = rows_at(model, state.q, state.v, a=a)
+    context, rows = rows_at(model, state.q, state.v, a=a)
     by_value = np.array([row.holonomic for row in rows])
 
     def values(q, t=T):
@@ -67,7 +67,7 @@ def everything(model: rb.Model) -> dict[str, dict | jax.Array]:
 
     own = {name: stacked([getattr(r, name) for r in rows]) for name in ("rate", "acceleration")}
     own["value"] = stacked([r.value for r in rows if r.holonomic])
-    own["gradient"] = gradient_matrix(now, rows)
+    own["gradient"] = gradient_matrix(context, rows)
     want = dict(value=value, rate=both(dg, rate), acceleration=both(ddg, dy), gradient=both(G, Y))
     return {"own": own, "want": want, "rest": values(model.default_state().q)}
 

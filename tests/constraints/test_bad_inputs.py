@@ -16,14 +16,14 @@ HERE, LOWER = rc.Place.on(), rc.Place.on(body="lower")
 class TwoOfOne(rc.Constraint):
     size = 2
 
-    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
-        return [rc.coordinate(now, "elbow")]
+    def rows(self, context: rb.forces.Context) -> Sequence[rc.Row]:
+        return [rc.coordinate(context, "elbow")]
 
 
 class Numbers(rc.Constraint):
     size = 1
 
-    def rows(self, now: rb.forces.Context) -> Sequence[rc.Row]:
+    def rows(self, context: rb.forces.Context) -> Sequence[rc.Row]:
         return [3.0]  # type: ignore[list-item]
 
 
@@ -47,6 +47,9 @@ MADE: dict[str, Callable] = {
     "Distance.between: got one point, expected two": lambda: rc.Distance.between(
         MODEL, "upper", "lower", length=1.0
     ),
+    "Frame: got neither of body and site": lambda: rc.Spherical(HERE, rb.Frame()),
+    "Frame: got both of body and site": lambda: rc.Spherical(rb.Frame("a", None, "b"), HERE),
+    "an rb.Frame as b": lambda: rc.Distance.between(MODEL, rb.Frame("upper"), "lower"),
     "point and other are both": lambda: rc.Distance.between(
         MODEL, "upper", "lower", other=[0, 0, 0]
     ),

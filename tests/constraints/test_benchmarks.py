@@ -83,9 +83,7 @@ def test_forty_four_bars_keep_their_energy() -> None:
 
     @jax.jit  # the model's numbers are known here: a minute to compile
     def half_a_second(state):
-        path = rb.rollout(
-            model, state, None, 1e-3, steps=500, save_every=500, integrator="rk4"
-        )
+        path = rb.rollout(model, state, None, 1e-3, steps=500, save_every=500, integrator="rk4")
         q, v = path.q[-1], path.v[-1]
         off = rc.residual(model, rb.State(q, v))
         energy = rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q)
@@ -141,8 +139,8 @@ def test_andrews(constraints: str) -> None:
 class Torque(rb.forces.Element):
     tau: jnp.ndarray
 
-    def loads(self, now):
-        return now.generalized(self.tau)
+    def loads(self, context):
+        return context.generalized(self.tau)
 
 
 @pytest.mark.slow

@@ -64,8 +64,8 @@ def test_numbers_are_leaves() -> None:
 
     def value(c):
         (coupling,) = model.constraints
-        now = rb.forces.Context.of(model, 0.0, state, None)
-        return coupling.replace(coefficients=c).rows(now)[0].value
+        context = rb.forces.Context.of(model, 0.0, state, None)
+        return coupling.replace(coefficients=c).rows(context)[0].value
 
     x = float(state.q[0] - 0.4)
     got = jax.grad(value)(model.constraints[0].coefficients)

@@ -270,11 +270,13 @@ class Servo(rb.forces.Element):
 
     size = 1
 
-    def loads(self, now):
-        return now.joint("a").push(now.x[0])
+    def loads(self, context):
+        return context.joint("a").push(context.x[0])
 
-    def rate(self, now):
-        return [(3.0 * jnp.sin(4.0 * now.t) - now.joint("a").v[0] - now.x[0]) / self.delay]
+    def rate(self, context):
+        return [
+            (3.0 * jnp.sin(4.0 * context.t) - context.joint("a").v[0] - context.x[0]) / self.delay
+        ]
 
 
 @pytest.mark.slow
@@ -313,9 +315,9 @@ class Pull(rb.forces.Element):
     k: jax.Array
     c: jax.Array
 
-    def loads(self, now):
-        force = -self.k * (now.q[0] - 0.6) - self.c * now.v[0]
-        return now.generalized(jnp.stack([force, 0.0 * force]))
+    def loads(self, context):
+        force = -self.k * (context.q[0] - 0.6) - self.c * context.v[0]
+        return context.generalized(jnp.stack([force, 0.0 * force]))
 
 
 @pytest.mark.slow

@@ -47,10 +47,10 @@ class KnifeEdge(Constraint):
 
     size = 1
 
-    def rows(self, now):
-        turn = coordinate(now, "turn")
-        across = rate(coordinate(now, "y")) * turn.apply(jnp.cos)
-        return [across - rate(coordinate(now, "x")) * turn.apply(jnp.sin)]
+    def rows(self, context):
+        turn = coordinate(context, "turn")
+        across = rate(coordinate(context, "y")) * turn.apply(jnp.cos)
+        return [across - rate(coordinate(context, "x")) * turn.apply(jnp.sin)]
 
 
 def skate() -> rb.Model:
@@ -64,8 +64,8 @@ def skate() -> rb.Model:
 class Circle(Constraint):
     size = 1
 
-    def rows(self, now):
-        x, y = coordinate(now, "x"), coordinate(now, "y")
+    def rows(self, context):
+        x, y = coordinate(context, "x"), coordinate(context, "y")
         return [x * x + y * y - 1.0]
 
 

@@ -102,8 +102,8 @@ def test_a_user_s_constraint_and_the_default() -> None:
     class Mirror(rc.Constraint):
         size = 1
 
-        def rows(self, now):
-            return [rc.coordinate(now, "shoulder") + rc.coordinate(now, "elbow")]
+        def rows(self, context):
+            return [rc.coordinate(context, "shoulder") + rc.coordinate(context, "elbow")]
 
     model = rb.load("double_pendulum").with_constraints(Mirror())
     start = model.default_state().replace(q=jnp.array([0.5, -0.5]))

@@ -85,7 +85,7 @@ def test_a_user_s_joint_that_pushes_at_a_point() -> None:
     class Tip(rc.Pair):
         size = 3
 
-        def between_frames(self, A, B, now):
+        def between_frames(self, A, B, context):
             return rc.displacement(A, B.at([0.0, 0.0, 0.5]))
 
     joint = Tip(rc.Place.on(point=[0.5, 0.0, 0.5]), rc.Place.on(body="rod", point=[0.5, 0.0, 0.0]))

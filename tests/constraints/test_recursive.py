@@ -46,14 +46,14 @@ def _arm() -> rb.Model:
     class Still(rc.Constraint):
         size = 1
 
-        def rows(self, now):
-            return [rc.time(now) * 0.0]
+        def rows(self, context):
+            return [rc.time(context) * 0.0]
 
     class Weighed(rc.Constraint):
         size = 1
 
-        def rows(self, now):
-            a, b, c = (rc.distance(now.body(0), now.body(k)) for k in names[1:4])
+        def rows(self, context):
+            a, b, c = (rc.distance(context.body(0), context.body(k)) for k in names[1:4])
             return [a * b + c * 0.3]
 
     model = rb.load("arm7")
@@ -105,8 +105,8 @@ def found_clusters(model: rb.Model) -> list[Cluster]:
     found: list[Cluster] = []
 
     def traced(q, v):
-        now = Context.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
-        found.extend(find_clusters(model.topology, rows_of(model, now)))
+        context = Context.of(model, 0.0, rb.State(q, v), None, d=driver(model, q.dtype))
+        found.extend(find_clusters(model.topology, rows_of(model, context)))
 
     start = model.default_state()
     jax.eval_shape(traced, start.q, start.v)
@@ -120,8 +120,8 @@ def crane() -> tuple[rb.Model, jax.Array]:
     class Across(rc.Constraint):
         size = 1
 
-        def rows(self, now):
-            ends = (now.body(x).at([0.1, 0.0, 0.3]) for x in ("carrier", "jib"))
+        def rows(self, context):
+            ends = (context.body(x).at([0.1, 0.0, 0.3]) for x in ("carrier", "jib"))
             return rc.displacement(*ends)[:1]
 
     arm = '<body name="{0}" pos="0.5 0 0.1"><joint axis="{1}"/><geom size="0.1" pos="0.2 0.1 0"/>'

@@ -36,8 +36,12 @@ class Pair:
         return self.row.value is not None
 
 
-def atoms(now: Context) -> list[Pair]:
-    x, y, t = rb.constraints.coordinate(now, 0), rb.constraints.coordinate(now, 1), time(now)
+def atoms(context: Context) -> list[Pair]:
+    x, y, t = (
+        rb.constraints.coordinate(context, 0),
+        rb.constraints.coordinate(context, 1),
+        time(context),
+    )
     return [
         Pair(x, lambda t, q, v: q[0]),
         Pair(y, lambda t, q, v: q[1]),
@@ -48,7 +52,7 @@ def atoms(now: Context) -> list[Pair]:
     ]
 
 
-def checked(now: Context, pair: Pair, dtype: type) -> None:
+def checked(context: Context, pair: Pair, dtype: type) -> None:
     row, s = pair.row, pair.scalar
     q, v, a = (jnp.asarray(x) for x in (Q, V, A))
 
@@ -66,7 +70,7 @@ def checked(now: Context, pair: Pair, dtype: type) -> None:
         G = jax.grad(lambda v: s(T, q, v))(v)
         own, due = (row.rate, row.acceleration), (value, rate)
     np.testing.assert_allclose(np.array(own), np.array(due), rtol=0, atol=ATOL[dtype])
-    np.testing.assert_allclose(gradient_matrix(now, [row])[0], G, rtol=0, atol=ATOL[dtype])
+    np.testing.assert_allclose(gradient_matrix(context, [row])[0], G, rtol=0, atol=ATOL[dtype])
 
 
 def instant(dtype: type) -> Context:
@@ -92,8 +96,8 @@ def combined(what: str, one: Pair, two: Pair, c: float) -> Pair:
 @given(data=st.data())
 @settings(max_examples=12, deadline=None, derandomize=True)
 def test_expressions(dtype: type, data: st.DataObject) -> None:
-    now = instant(dtype)
-    known = atoms(now)
+    context = instant(dtype)
+    known = atoms(context)
     for _ in range(data.draw(st.integers(1, 6))):
         one, two = (data.draw(st.sampled_from(known)) for _ in range(2))
         what = data.draw(st.sampled_from(["+", "-", "+c", "c-", "*c", "*", "f"]))
@@ -103,23 +107,23 @@ def test_expressions(dtype: type, data: st.DataObject) -> None:
                 combined(*given_)
             continue
         known.append(combined(*given_))
-    checked(now, known[-1], dtype)
+    checked(context, known[-1], dtype)
 
 
 @pytest.mark.parametrize("dtype", ATOL)
 def test_functions_of_several_rows(dtype: type) -> None:
-    now = instant(dtype)
-    x, y, *_ = atoms(now)
+    context = instant(dtype)
+    x, y, *_ = atoms(context)
     turned = angle(x.row, y.row)
-    checked(now, Pair(turned, lambda t, q, v: jnp.arctan2(q[0], q[1])), dtype)
+    checked(context, Pair(turned, lambda t, q, v: jnp.arctan2(q[0], q[1])), dtype)
     both = lambda z: jnp.stack([z[0] * jnp.sin(z[1]), z[1] ** 2])  # noqa: E731
     for k, row in enumerate(function_of([x.row, y.row], both, dtype)):
-        checked(now, Pair(row, lambda t, q, v, k=k: both(q)[k]), dtype)
+        checked(context, Pair(row, lambda t, q, v, k=k: both(q)[k]), dtype)
 
 
 def test_functions_of_rates_are_refused() -> None:
-    now = instant(jnp.float64)
-    x, rate = atoms(now)[0].row, atoms(now)[4].row
+    context = instant(jnp.float64)
+    x, rate = atoms(context)[0].row, atoms(context)[4].row
     for f in (
         lambda: rate * rate,
         lambda: rate.apply(jnp.sin),
@@ -137,8 +141,8 @@ class Speed(rb.constraints.Constraint):
     wanted: jax.Array
     size = 1
 
-    def rows(self, now: Context) -> list[Row]:
-        return [rb.constraints.coordinate(now, "slider").time_derivative - self.wanted]
+    def rows(self, context: Context) -> list[Row]:
+        return [rb.constraints.coordinate(context, "slider").time_derivative - self.wanted]
 
 
 @pytest.mark.parametrize("dtype", ATOL)

@@ -14,7 +14,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from rbjax.constraints.methods.soft import SOLIMP, SOLREF
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 GROUND = rc.Place.on(point=[0.1, -0.2, 0.05], axis=[1.0, 0.4, 2.0])
 HAND = rc.Place.on(body="hand", point=[0.05, 0.1, -0.1], axis=[0.3, 1.0, 0.2])

@@ -67,11 +67,11 @@ def test_a_slip_is_opposed():
 
 def test_a_coordinate_without_accelerations():
     joint = SimpleNamespace(start=2, q=[0.3, 0.4], v=[1.0, 2.0])
-    now = SimpleNamespace(joint=lambda name: joint, a=None)
-    row = coordinate(now, "elbow", 1)
+    context = SimpleNamespace(joint=lambda name: joint, a=None)
+    row = coordinate(context, "elbow", 1)
     assert (row.value, row.rate, row.acceleration) == (0.4, 2.0, 0.0)
-    now.a = [5.0, 6.0, 7.0, 8.0]
-    assert coordinate(now, "elbow", 1).acceleration == 8.0
+    context.a = [5.0, 6.0, 7.0, 8.0]
+    assert coordinate(context, "elbow", 1).acceleration == 8.0
 
 
 def test_z_is_turned_to_an_axis():

@@ -20,10 +20,10 @@ class Wind(rb.forces.Element):
     strength: jax.Array
     size = 0
 
-    def loads(self, now):
-        x, z = now.q[0], now.q[1]
+    def loads(self, context):
+        x, z = context.q[0], context.q[1]
         off = self.strength * (x * x + z * z - 1.0)
-        return now.generalized(jnp.stack([off, 2.0 * off]))
+        return context.generalized(jnp.stack([off, 2.0 * off]))
 
 
 def windy() -> rb.Model:

@@ -155,7 +155,7 @@ TABLE = {
     "solve": (C.solve, {"problem": PROBLEM, "start": np.ones(1)}, {
         "problem": [3, LINE, None], "start": ["x", np.ones(3), np.full(1, np.nan), None],
         "method": name(), "states": ["x", np.ones((3, 1)), np.full((4, 1), np.nan)],
-        "ctrls": ["x", np.ones((4, 1)), np.full((3, 1), np.nan)], "parameters": ["x", np.ones(1)],
+        "ctrl": ["x", np.ones((4, 1)), np.full((3, 1), np.nan)], "parameters": ["x", np.ones(1)],
         "guess": [3, "x"], "iterations": count(), "tolerance": ["x", -1.0, np.nan],
         "violation": ["x", -1.0, np.nan], "seed": ["x", 1.5, -1],
     }),
@@ -184,10 +184,10 @@ TABLE = {
         "dt": positive(), "integrator": name(), "dynamics": [3, "x"], "constraints": name(),
     }),
     "time_varying_lqr": (C.time_varying_lqr, {
-        "model": CART, "states": STATES, "ctrls": np.zeros((3, 1)), "dt": 0.1, "Q": np.ones(4),
+        "model": CART, "states": STATES, "ctrl": np.zeros((3, 1)), "dt": 0.1, "Q": np.ones(4),
         "R": np.ones(1),
     }, {
-        "model": model(), "states": [3, UP], "ctrls": ["x", np.zeros(3), np.full((3, 1), np.nan)],
+        "model": model(), "states": [3, UP], "ctrl": ["x", np.zeros(3), np.full((3, 1), np.nan)],
         "dt": positive(), "Q": array(4), "R": array(1), "terminal": array(4),
         "integrator": name(),
     }),

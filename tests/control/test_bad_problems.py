@@ -29,7 +29,7 @@ def problem(**changes):
 
 
 def whole(solution):
-    return all(np.isfinite(x).all() for x in (solution.states, solution.ctrls))
+    return all(np.isfinite(x).all() for x in (solution.states, solution.ctrl))
 
 
 # ------------------------------------------------------------ numbers
@@ -132,7 +132,7 @@ def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
     ("size", lambda: Equations(lambda t, x, u: x, 0, 1)),
     ("shape", lambda: solve(problem(), jnp.zeros(2))),
     ("states", lambda: solve(problem(), START, states=jnp.zeros((3, 1)))),
-    ("ctrls", lambda: solve(problem(), START, ctrls=jnp.zeros((4, 1)))),
+    ("ctrl", lambda: solve(problem(), START, ctrl=jnp.zeros((4, 1)))),
     ("parameters", lambda: solve(problem(), START, parameters=jnp.zeros(1))),
     ("iterations", lambda: solve(problem(), START, iterations=0)),
     ("problem", lambda: solve(system(), START)),

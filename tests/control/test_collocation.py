@@ -36,8 +36,8 @@ def test_a_cubic_is_exact(method):
     t = found.ts
     np.testing.assert_allclose(found.states[:, 0], 3 * t**2 - 2 * t**3, atol=1e-10)
     inside = t[:-1, None] + 0.25 * found.stages.c
-    np.testing.assert_allclose(found.stages.ctrls[..., 0], 6 - 12 * inside, atol=1e-8)
-    np.testing.assert_allclose(found.ctrls[:, 0], 6 - 12 * (t[:-1] + 0.125), atol=1e-8)
+    np.testing.assert_allclose(found.stages.ctrl[..., 0], 6 - 12 * inside, atol=1e-8)
+    np.testing.assert_allclose(found.ctrl[:, 0], 6 - 12 * (t[:-1] + 0.125), atol=1e-8)
 
 
 def fastest(start, N=8, guess=2.0):
@@ -54,7 +54,7 @@ def test_minimum_time_with_a_switch_at_a_knot():
         case = next(c for c in given("minimum_time_double_integrator")["cases"] if c["x0"] == start)
         found = fastest(start)
         assert found.success and abs(found.duration - case["T"]) < 1e-8
-        assert np.sign(found.ctrls[0, 0]) == case["u_first"]
+        assert np.sign(found.ctrl[0, 0]) == case["u_first"]
 
 
 class Timed(rb.model.record.Record):
@@ -95,7 +95,7 @@ def phases(rates, start, end, signs, durations, each, method):
         xs.append(x)
     us = jnp.full((count * each, 1), size)
     return solve(
-        problem, xs[0], states=jnp.stack(xs), ctrls=us, method=method, parameters=guess,
+        problem, xs[0], states=jnp.stack(xs), ctrl=us, method=method, parameters=guess,
         iterations=500,
     )  # fmt: skip
 
@@ -147,10 +147,10 @@ def test_a_brachistochrone_is_a_cycloid():
     )  # fmt: skip
     guess = jnp.linspace(0, 1, N + 1)[:, None] * jnp.array([*end, 4.0])
     found = solve(
-        problem, jnp.zeros(3), states=guess, ctrls=jnp.full((N, 1), 0.8), method="gauss_legendre"
+        problem, jnp.zeros(3), states=guess, ctrl=jnp.full((N, 1), 0.8), method="gauss_legendre"
     )
     assert found.success and abs(found.duration - case["T"]) < 1e-9
-    angles = found.stages.ctrls[..., 0]
+    angles = found.stages.ctrl[..., 0]
     t = found.ts[:-1, None] + found.duration / N * found.stages.c
     exact = np.pi / 2 - 0.5 * t * np.sqrt(9.81 / case["radius"])
     off = jnp.arctan2(jnp.sin(angles - exact), jnp.cos(angles - exact))  # whole turns are alike
@@ -240,20 +240,20 @@ def test_a_goal_out_of_reach():
     )
     found = solve(problem, jnp.zeros(2), method="gauss_legendre_4")
     assert found.summary().startswith("infeasible")
-    assert np.abs(found.stages.ctrls).max() <= 1
+    assert np.abs(found.stages.ctrl).max() <= 1
 
 
 def test_a_cost_that_is_nan():
     problem = Problem(DOUBLE, 4, 0.25, running=[lambda t, x, u: jnp.log(x[0] - 1) + u[0] ** 2])
     found = solve(problem, jnp.zeros(2), method="gauss_legendre_4")
     assert found.summary().startswith("not finite")
-    assert np.isfinite(found.ctrls).all()
+    assert np.isfinite(found.ctrl).all()
 
 
 def test_a_singular_hessian():
     flat = [lambda t, x, u: x[0] ** 2]  # nothing of u
     found = solve(Problem(DOUBLE, 4, 0.25, running=flat), jnp.ones(2), method="gauss_legendre_4")
-    assert np.isfinite(found.cost) and np.isfinite(found.ctrls).all()
+    assert np.isfinite(found.cost) and np.isfinite(found.ctrl).all()
     assert int(found.status) in SENTENCES
 
 

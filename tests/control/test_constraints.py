@@ -21,7 +21,7 @@ from rbjax.control import (
     Velocity,
     solve,
 )
-from rbjax.control.status import INFEASIBLE
+from rbjax.control.status import CONVERGED, INFEASIBLE, STUCK
 from rbjax.errors import InputError
 
 
@@ -47,8 +47,8 @@ def test_rest_to_rest_costs_what_the_closed_form_says(n):
     s = solve(rest_to_rest(n), jnp.zeros(2), violation=1e-11, tolerance=1e-14)
     assert s.success
     np.testing.assert_allclose(s.cost, 12 * n**2 / (n**2 - 1), rtol=1e-9)
-    np.testing.assert_allclose(np.diff(s.ctrls[:, 0], 2), 0.0, atol=1e-7)  # linear in time
-    np.testing.assert_allclose(s.ctrls[0, 0], -s.ctrls[-1, 0], rtol=1e-8)
+    np.testing.assert_allclose(np.diff(s.ctrl[:, 0], 2), 0.0, atol=1e-7)  # linear in time
+    np.testing.assert_allclose(s.ctrl[0, 0], -s.ctrl[-1, 0], rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -124,10 +124,43 @@ def test_the_acrobot_ends_upright(method):
     )
     for seed in range(4):
         ctrls = min(seed, 1) * 2 * np.random.default_rng(seed).normal(size=(100, 1))
-        s = solve(problem, model.keyframe("down"), method=method, ctrls=ctrls, iterations=1000)
+        s = solve(problem, model.keyframe("down"), method=method, ctrl=ctrls, iterations=1000)
         assert s.success and s.violation <= 1e-6
         end = StateError(model.keyframe("up"))(model, 0.0, s.state(-1), jnp.zeros(1))
         assert np.abs(end).max() <= 2e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["ddp", "sqp"])
+def test_most_searches_for_the_acrobot_converge_in_single_precision(method):
+    """The others end as stuck, a few roundings from the end state, at the same costs."""
+    with jax.enable_x64(False):
+        model = rb.load("acrobot")
+        upright = Constraint(StateError(model.keyframe("up")), where="end", name="upright")
+        problem = Problem(
+            model, 100, 0.05, running=[Control()], constraints=[upright], bounds=(-20, 20)
+        )
+        random = [2 * np.random.default_rng(k).normal(size=(100, 1)) for k in range(1, 10)]
+
+        @jax.jit
+        @jax.vmap
+        def run(ctrl):
+            s = solve(problem, model.keyframe("down"), method=method, ctrl=ctrl, iterations=1000)
+            return s.status, s.violation
+
+        guesses = jnp.asarray(np.stack([np.zeros((100, 1)), *random]), jnp.float32)
+        status, violation = (np.asarray(x) for x in run(guesses))
+    assert set(status.tolist()) <= {CONVERGED, STUCK}
+    assert (status == CONVERGED).sum() >= 6  # 8 and 9
+    assert violation.max() < 1e-4 and violation[status == CONVERGED].max() < 1.2e-6
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_tolerance_of_no_violation_is_that_of_the_precision(dtype):
+    with jax.enable_x64(dtype == "float64"):
+        s = solve(rest_to_rest(10), jnp.zeros(2), violation=0.0)
+        assert s.cost.dtype == dtype and s.success
+        assert s.violation <= 10 * jnp.finfo(dtype).eps
 
 
 def test_spheres_move_with_their_bodies():

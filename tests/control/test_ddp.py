@@ -61,7 +61,7 @@ def test_a_linear_problem_takes_one_step() -> None:
     assert found.success
     assert int(found.iterations) <= 2
     assert abs(float(found.cost) - case["cost"]) < 1e-8 * case["cost"]
-    assert np.abs(found.ctrls[:5, 0] - np.asarray(case["u_0_4"])).max() < 1e-8
+    assert np.abs(found.ctrl[:5, 0] - np.asarray(case["u_0_4"])).max() < 1e-8
     assert np.abs(found.K[0, 0] - np.asarray(case["K_0"])).max() < 1e-8
 
 
@@ -72,7 +72,7 @@ def test_a_batch_is_each_of_its_problems() -> None:
     def swung(angle):
         start = rb.State(case.start.q.at[1].set(angle), case.start.v)
         found = solve(case.problem, start)
-        return found.cost, found.ctrls
+        return found.cost, found.ctrl
 
     costs, ctrls = jax.jit(jax.vmap(swung))(angles)
     cost, ctrl = swung(angles[1])
@@ -88,7 +88,7 @@ def test_the_policy_of_a_solution_follows_it() -> None:
     assert np.abs(run.q - found.states.q).max() < 1e-9
     pushed = rb.State(case.start.q + 0.05, case.start.v)
     back = rb.rollout(model, pushed, found.policy(), 0.05, steps=50)
-    blind = rb.rollout(model, pushed, found.ctrls, 0.05)
+    blind = rb.rollout(model, pushed, found.ctrl, 0.05)
     off = [np.abs(x.q[-1] - found.states.q[-1]).max() for x in (back, blind)]
     assert off[0] < 0.2 * off[1]
 
@@ -117,7 +117,7 @@ def test_what_is_free_of_the_start() -> None:
     found = solve(problem, jnp.zeros(2))
     assert found.success
     assert abs(float(found.states[0, 1]) - 1.0) < 1e-6
-    assert np.abs(found.ctrls).max() < 1e-6
+    assert np.abs(found.ctrl).max() < 1e-6
 
 
 def test_second_derivatives_make_the_end_quadratic() -> None:

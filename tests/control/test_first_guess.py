@@ -31,10 +31,10 @@ def test_a_solution_follows_an_unstable_plant_from_another_start():
 
 def test_controls_alone_are_rolled_out():
     first = solve(balance(), START)
-    again = solve(balance(), START, ctrls=first.ctrls)
+    again = solve(balance(), START, ctrl=first.ctrl)
     assert int(again.iterations) <= 2 and float(again.costs[0]) < 1.001 * float(first.cost)
     # from another start the plant carries them away: the guess is to stand at the start
-    other = solve(balance(), NEAR, ctrls=first.ctrls)
+    other = solve(balance(), NEAR, ctrl=first.ctrl)
     assert other.success
     assert abs(float(other.cost - solve(balance(), NEAR).cost)) < 1e-9
 
@@ -65,10 +65,10 @@ def test_single_precision():
 
 
 @pytest.mark.parametrize(("said", "given"), [
-    ("guess is ArrayImpl", lambda s: {"guess": s.ctrls}),
-    (r"guess and \['ctrls'\]", lambda s: {"guess": s, "ctrls": s.ctrls}),
+    ("guess is ArrayImpl", lambda s: {"guess": s.ctrl}),
+    (r"guess and \['ctrl'\]", lambda s: {"guess": s, "ctrl": s.ctrl}),
     ("shape", lambda s: {"guess": solve(balance(5), START)}),
-    ("ctrls has numbers that are not finite", lambda s: {"ctrls": s.ctrls.at[2].set(jnp.nan)}),
+    ("ctrl has numbers that are not finite", lambda s: {"ctrl": s.ctrl.at[2].set(jnp.nan)}),
     ("states has numbers", lambda s: {"states": s.states.at[2].set(jnp.inf)}),
 ])  # fmt: skip
 def test_a_guess_that_does_not_fit_is_rejected(said, given):
@@ -78,5 +78,5 @@ def test_a_guess_that_does_not_fit_is_rejected(said, given):
 
 
 def test_a_guess_that_diverges_leaves_a_finite_answer():
-    s = solve(balance(), START, ctrls=jnp.full((60, 1), 1e300))
+    s = solve(balance(), START, ctrl=jnp.full((60, 1), 1e300))
     assert np.isfinite(s.states).all() and s.success

@@ -27,9 +27,10 @@ def one_step(weight, target, start):
 
 def test_the_closed_form_of_one_step():
     w, b, x = 0.5, 2.0, 0.3
+
     def parts(*p):
         s = one_step(*p)
-        return jnp.stack([s.ctrls[0, 0], s.cost])
+        return jnp.stack([s.ctrl[0, 0], s.cost])
 
     found = np.stack(jax.jacrev(parts, (0, 1, 2))(*map(jnp.asarray, (w, b, x))), 1)
     slope = w * (b - x) / (1 + w)
@@ -56,7 +57,7 @@ def bounded(p):
 
 
 def parts(s):
-    return jnp.concatenate([s.ctrls.ravel(), s.states.ravel(), s.cost[None]])
+    return jnp.concatenate([s.ctrl.ravel(), s.states.ravel(), s.cost[None]])
 
 
 @pytest.mark.slow
@@ -64,7 +65,7 @@ def test_active_bounds_and_constraints_forward_reverse_and_within_programs():
     p = jnp.asarray([0.5, 1.0, 2.2, 1.1, 0.7, 0.05])
     s = bounded(p)
     assert bool(s.success)
-    assert (jnp.abs(s.ctrls) == p[2]).sum() > 3
+    assert (jnp.abs(s.ctrl) == p[2]).sum() > 3
     assert (jnp.abs(s.states[:, 1] - p[3]) < 1e-9).sum() > 1
     run = lambda p: parts(bounded(p))  # noqa: E731
     forward = jax.jacfwd(run)(p)
@@ -106,7 +107,7 @@ def test_leaves_of_a_model_a_design_at_its_bound_and_a_free_final_time():
 
     def run(p):
         s = reaching(p)
-        return jnp.concatenate([s.ctrls.ravel(), s.states.q.ravel(), s.parameters, s.ts[-1:],
+        return jnp.concatenate([s.ctrl.ravel(), s.states.q.ravel(), s.parameters, s.ts[-1:],
                                 s.cost[None]])  # fmt: skip
 
     # a search ends at ten roundings of the cost, so the controls are known to about 1e-10, and the
@@ -132,6 +133,6 @@ def test_rows_that_say_the_same_twice_have_a_derivative():
     def first(b):
         at = Constraint(lambda t, x, u: x - b, where="end")
         problem = Problem(system, 2, 1.0, running=[Control()], constraints=[at, at])
-        return solve(problem, jnp.zeros(1), **TIGHT).ctrls[0, 0]
+        return solve(problem, jnp.zeros(1), **TIGHT).ctrl[0, 0]
 
     np.testing.assert_allclose(jax.grad(first)(2.0), 0.5, atol=1e-9)

@@ -79,5 +79,5 @@ def test_the_optimum_is_that_of_the_pendulum_of_one_angle(four_bar) -> None:
     due = control.solve(pushed(pendulum), jnp.array([0.3, 0.0]))
     assert found.success and due.success
     np.testing.assert_allclose(found.cost, due.cost, rtol=1e-9)
-    np.testing.assert_allclose(found.ctrls, due.ctrls, atol=1e-5)
+    np.testing.assert_allclose(found.ctrl, due.ctrl, atol=1e-5)
     np.testing.assert_allclose(found.states.q, due.states[:, :1] * ALIKE, atol=1e-7)

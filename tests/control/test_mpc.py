@@ -28,7 +28,7 @@ def test_without_errors_of_the_model_the_delay_costs_nothing():
     runs = [jax.jit(mpc(cart(), delay=d).closed_loop, static_argnums=1)(START, 25) for d in (0, 1)]
     np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-8)
     for run in runs:
-        assert (run.statuses == PLANNED).all() and (abs(run.ctrls) <= 0.4).all()
+        assert (run.statuses == PLANNED).all() and (abs(run.ctrl) <= 0.4).all()
         assert np.abs(run.states[-1]).max() < 0.1
 
 
@@ -38,7 +38,7 @@ def test_the_first_control_is_that_of_the_optimum_and_the_tail_is_optimal_again(
     s = solve(problem, START)
     controller = mpc(problem, delay=0, iterations=20)
     u, _, _ = jax.jit(controller.tick)(controller.begin(START), 0.0, START)
-    np.testing.assert_allclose(u, s.ctrls[0], atol=1e-6)
+    np.testing.assert_allclose(u, s.ctrl[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("delay", [1, 0, 2])
@@ -54,7 +54,7 @@ def test_failing_plans_keep_the_last_and_then_fall_back(delay):
     run = jax.jit(lambda x: controller.closed_loop(x, 10))(START)
     assert run.statuses.tolist() == [PLANNED] * 3 + [KEPT] * 2 + [FALLBACK] * 5
     assert np.isfinite(run.states).all()
-    np.testing.assert_allclose(run.ctrls[-5:], 0.123)
+    np.testing.assert_allclose(run.ctrl[-5:], 0.123)
 
 
 @pytest.mark.slow

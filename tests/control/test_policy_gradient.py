@@ -73,7 +73,7 @@ def test_a_batch_of_models_is_a_loop_over_them():
         x, total = state, []
         for i in range(2):
             u = env.act(policy, x)
-            assert np.abs(u - segment.ctrls[k, i]).max() < 1e-12
+            assert np.abs(u - segment.ctrl[k, i]).max() < 1e-12
             total.append(cost(x, u))
             x = rb.step(model, x, u, 0.05)
         assert relative_error(segment.states.q[k, -1], x.q) < F64_TRANSFORM

@@ -114,8 +114,8 @@ def test_samples_come_near(update, within):
 
     one, same, other = ask(1), ask(1), ask(2)
     assert 0 <= one.cost / best_cost() - 1 < within
-    assert (jnp.abs(one.ctrls) <= 1).all()
-    assert (one.ctrls == same.ctrls).all() and (one.ctrls != other.ctrls).any()
+    assert (jnp.abs(one.ctrl) <= 1).all()
+    assert (one.ctrl == same.ctrl).all() and (one.ctrl != other.ctrl).any()
     many = jax.vmap(lambda seed: ask(seed).cost)(jnp.arange(1, 3))
     assert np.abs(many - jnp.stack([one.cost, other.cost])).max() < 1e-12
 
@@ -124,8 +124,8 @@ def test_bounds_that_bind():
     problem = mass_on_a_line(bounds=(-0.3, 0.2))
     method = Sampling("cross_entropy", **SMALL)
     found = rb.control.solve(problem, START, method=method, iterations=30)
-    assert found.ctrls.min() >= -0.3 and found.ctrls.max() <= 0.2
-    assert found.ctrls.min() < -0.2999
+    assert found.ctrl.min() >= -0.3 and found.ctrl.max() <= 0.2
+    assert found.ctrl.min() < -0.2999
 
 
 @pytest.mark.slow
@@ -217,7 +217,7 @@ def test_mujoco_swings_up_too():
     robot.opt.timestep, robot.opt.disableflags = 0.025, mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(robot)
     data.qpos[:] = state.q
-    for u in np.asarray(found.ctrls):
+    for u in np.asarray(found.ctrl):
         data.ctrl[:] = u
         mujoco.mj_step(robot, data)
     assert np.abs(data.qpos - found.states.q[-1]).max() < 1e-8

@@ -9,13 +9,14 @@ from rbjax.control import Control, Cost, Equations, Problem, solve
 from rbjax.control.optimal.shooting.search import (
     LEAST,
     LENGTHS,
+    MOST,
     IterationValues,
     count_stalled,
     decide,
     initial_search_state,
 )
 from rbjax.control.optimal.solution import StoppingRule
-from rbjax.control.status import CONVERGED, STUCK
+from rbjax.control.status import CONVERGED, GOING, STUCK
 
 LINE = Equations(lambda t, x, u: u, 1, 1)
 STEPPING = ("ddp", "sqp")
@@ -43,7 +44,7 @@ def smooth(size=1.0, bounds=None):
 @pytest.mark.parametrize("method", STEPPING)
 def test_a_kink_is_not_called_an_optimum(method, dtype):
     with jax.enable_x64(dtype == "float64"):
-        starts = [solve(kinked(), jnp.zeros(1), ctrls=jnp.full((6, 1), g), method=method)
+        starts = [solve(kinked(), jnp.zeros(1), ctrl=jnp.full((6, 1), g), method=method)
                   for g in (0.0, 1.0, -2.0)]  # fmt: skip
         least = min(float(s.cost) for s in starts)
         for s in starts:
@@ -60,7 +61,7 @@ def test_the_unit_of_the_cost_does_not_decide(method):
     whole, small, large = (solve(smooth(c), jnp.zeros(2), method=method) for c in (1, 1e-9, 1e9))
     for s in (whole, small, large):
         assert s.success
-        np.testing.assert_allclose(s.ctrls, whole.ctrls, atol=1e-4)
+        np.testing.assert_allclose(s.ctrl, whole.ctrl, atol=1e-4)
 
 
 @pytest.mark.parametrize("method", STEPPING)
@@ -85,7 +86,7 @@ def test_bounds_that_never_bind_change_nothing_by_other_methods(method):
 
 def never_bind(method, rtol=1e-9):
     free = solve(smooth(), jnp.zeros(2), method=method)
-    most = 1.5 * float(np.abs(free.ctrls).max())
+    most = 1.5 * float(np.abs(free.ctrl).max())
     held = solve(smooth(bounds=(-most, most)), jnp.zeros(2), method=method)
     assert free.success and held.success
     np.testing.assert_allclose(held.cost, free.cost, rtol=rtol)
@@ -111,6 +112,34 @@ def test_short_steps_raise_the_regularisation(constrained, a, rises):
     found = decide(accept, True, constrained, now, rule, values)
     assert found.accepted and found.length == a
     assert found.search.reg == LEAST * (10 if rises else 1)
+
+
+@pytest.mark.parametrize(("violation", "before", "penalty", "status", "after"), [
+    (0.2, 1.0, 1e7, GOING, 1e7), (0.5, 1.0, 1e7, GOING, 1e8), (2.0, 1.0, 1e5, GOING, 1e6),
+    (2.0, 1.0, 1e6, STUCK, 1e6), (1e-7, 1.0, 1e5, GOING, 1e4), (1e-7, 1.0, 1e3, STUCK, 1e3),
+])  # fmt: skip
+def test_with_constraints_a_search_at_rest_gets_new_multipliers(
+    violation, before, penalty, status, after
+):
+    """They may reduce the violation; if there is none, a smaller penalty has less rounding."""
+    number = jnp.asarray
+    rule = StoppingRule(number(1e-9), number(1e-6), number(100), number(1.0))
+    now = initial_search_state(rule, True, number(penalty))._replace(
+        feasible=number(True), reg=number(MOST), violation_before=number(before), stalled=number(7)
+    )
+    n = len(LENGTHS)
+    values = IterationValues(
+        number(9.0), number(0.0), number(violation), number(-1.0), number(1.0), number(1.0),
+        number(True), jnp.full(n, 9.0), jnp.full(n, violation), None,
+    )  # fmt: skip
+    none = lambda values, lengths: (lengths > 1, number(0.5))  # noqa: E731
+    found = decide(none, True, True, now, rule, values)
+    assert (int(found.search.status), float(found.search.penalty)) == (status, after)
+    renewed = status == GOING
+    assert bool(found.new_multipliers) == renewed
+    if renewed:
+        assert found.search.reg == LEAST and found.search.stalled == 0
+        assert found.search.violation_before == violation
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -38,7 +38,7 @@ def test_bounded_controls(method, budget, near):
     found = solve(problem, jnp.zeros(2), method=method, iterations=budget, tolerance=1e-8)
     assert found.success and found.gap == 0
     assert abs(found.cost - best.cost) < near * best.cost
-    assert np.abs(found.ctrls).max() <= 3
+    assert np.abs(found.ctrl).max() <= 3
 
 
 @pytest.mark.slow

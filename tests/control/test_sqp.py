@@ -76,7 +76,7 @@ def test_a_linear_problem_takes_one_step() -> None:
     far = jnp.ones((N + 1, 2)) * 3.0  # a guess that obeys nothing
     found = solve(sliding(), START, states=far, method="sqp", iterations=1)
     assert abs(float(found.cost) - cost) < 1e-9 * cost
-    assert np.abs(found.ctrls[:, 0] - us).max() < 1e-9
+    assert np.abs(found.ctrl[:, 0] - us).max() < 1e-9
     assert float(found.gap) < 1e-12
     found = solve(sliding(), START, states=far, method="sqp")
     assert found.success and int(found.iterations) == 2
@@ -88,7 +88,7 @@ def test_bounds_are_those_of_a_dense_program() -> None:
     found = solve(sliding(bounds=(-1.5, 1.5)), START, method="sqp", tolerance=1e-14)
     assert found.success
     assert abs(float(found.cost) - cost) < 1e-9 * cost
-    assert np.abs(found.ctrls[:, 0] - us).max() < 1e-6
+    assert np.abs(found.ctrl[:, 0] - us).max() < 1e-6
 
 
 @pytest.mark.parametrize("method", ["sqp", "exact_sqp", "ddp"])
@@ -105,7 +105,7 @@ def test_bounds_that_do_not_bind_change_nothing(method: str, margin: float) -> N
         "terminal": [Cost(StateError(jnp.zeros(2)), 10.0)],
     }  # fmt: skip
     free = solve(Problem(plant, 40, H, **given), START)
-    low, high = float(free.ctrls.min()), float(free.ctrls.max())
+    low, high = float(free.ctrl.min()), float(free.ctrl.max())
     more = margin * (high - low) + 1e-9 * high  # rounding, where nothing else is between
     bounds = low - more, high + more
     far = 3.0 * jnp.ones((41, 2)) + jnp.arange(41.0)[:, None]
@@ -113,7 +113,7 @@ def test_bounds_that_do_not_bind_change_nothing(method: str, margin: float) -> N
     found = solve(problem, START, states=far, method=method)
     assert found.success and int(found.iterations) <= 3
     np.testing.assert_allclose(found.cost, free.cost, rtol=1e-9)
-    np.testing.assert_allclose(found.ctrls, free.ctrls, atol=1e-6 * (high - low))
+    np.testing.assert_allclose(found.ctrl, free.ctrl, atol=1e-6 * (high - low))
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ def test_bounds_that_do_not_bind_change_nothing(method: str, margin: float) -> N
 def test_bounds_that_do_not_bind_change_nothing_of_an_arm(method: str, margin: float) -> None:
     case = oracle.kinova_reach("plain_difference")
     free = solve(case.problem, case.start, method="sqp")
-    low, high = free.ctrls.min(0), free.ctrls.max(0)
+    low, high = free.ctrl.min(0), free.ctrl.max(0)
     more = margin * (high - low)
     case = oracle.kinova_reach("plain_difference", (low - more, high + more))
     found = solve(case.problem, case.start, method=method, iterations=100)
@@ -164,7 +164,7 @@ def test_what_is_free_of_the_start() -> None:
     found = solve(problem, START, method="sqp")
     assert found.success
     assert abs(float(found.states[0, 1]) - 1.0) < 1e-6
-    assert np.abs(found.ctrls).max() < 1e-6
+    assert np.abs(found.ctrl).max() < 1e-6
 
 
 def test_what_is_not_finite_and_what_cannot_be_held_are_named() -> None:

@@ -81,7 +81,7 @@ def test_bad_arguments():
     ones = jnp.ones(4)
     with pytest.raises(InputError, match=r"states\.q has shape"):
         time_varying_lqr(model, path, u[:-1], DT, ones, jnp.ones(1))
-    with pytest.raises(InputError, match="ctrls has shape"):
+    with pytest.raises(InputError, match="ctrl has shape"):
         time_varying_lqr(model, path, u[0], DT, ones, jnp.ones(1))
     with pytest.raises(InputError, match="Q has shape"):
         time_varying_lqr(model, path, u, DT, jnp.ones(3), jnp.ones(1))

@@ -77,8 +77,8 @@ class Samples:
 
 def actuation(model: rb.Model, state: rb.State, u: Any) -> tuple[Any, ...]:
     """The actuators' forces on the joints, the states' rates, and the states after a step."""
-    now = Context.of(model, 0.0, state, u)
-    rate, after = states(model, now), states(model, now, model.timestep)
+    context = Context.of(model, 0.0, state, u)
+    rate, after = states(model, context), states(model, context, model.timestep)
     passive = rb.applied_forces(model, state)
     nothing = jnp.zeros(0)
     tau = rb.applied_forces(model, state, u) - passive

@@ -12,8 +12,8 @@ class Wind(rb.forces.Element):
     air: jax.Array
     drag: jax.Array
 
-    def loads(self, now):
-        body = now.body(0)
+    def loads(self, context):
+        body = context.body(0)
         return body.push(self.drag * (self.air - body.velocity))
 
 
@@ -26,8 +26,8 @@ class Lag(rb.forces.Element):
     def size(self) -> int:
         return 1
 
-    def loads(self, now):
-        return rb.forces.Loads({1: now.x[0]})
+    def loads(self, context):
+        return rb.forces.Loads({1: context.x[0]})
 
-    def rate(self, now):
-        return [(jnp.sin(now.t) - now.x[0]) / self.delay]
+    def rate(self, context):
+        return [(jnp.sin(context.t) - context.x[0]) / self.delay]

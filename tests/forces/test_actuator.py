@@ -65,9 +65,9 @@ def test_derivatives_by_numbers_and_controls():
     weights = [jnp.asarray(rng.normal(size=n)) for n in (m.nv, m.na)]
 
     def loss(forces, u, x):
-        now = Context.of(model.replace(forces=forces), 0.0, state.replace(x=x), u)
-        tau = jnp.stack([jnp.asarray(a, float) for a in loads(now.model, now)[0]])
-        return (tau * weights[0]).sum() + (states(now.model, now) * weights[1]).sum()
+        context = Context.of(model.replace(forces=forces), 0.0, state.replace(x=x), u)
+        tau = jnp.stack([jnp.asarray(a, float) for a in loads(context.model, context)[0]])
+        return (tau * weights[0]).sum() + (states(context.model, context) * weights[1]).sum()
 
     at = (model.forces, u, state.x)
     slopes = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(*at)

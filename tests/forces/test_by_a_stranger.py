@@ -17,8 +17,8 @@ class Wind(rb.forces.Element):
     drag: jax.Array  # N s^2/m^2
     on: str = eqx.field(static=True, default="trunk")
 
-    def loads(self, now):
-        body = now.body(self.on)
+    def loads(self, context):
+        body = context.body(self.on)
         flow = body.velocity - self.air
         return body.push(flow * (-self.drag * flow.norm(1e-6)))
 

@@ -24,8 +24,8 @@ class Torque(Element):
     def actuates(self) -> bool:
         return self.driven
 
-    def loads(self, now):
-        return now.joint("hinge").push(self.tau)
+    def loads(self, context):
+        return context.joint("hinge").push(self.tau)
 
 
 class Pull(Element):
@@ -35,8 +35,8 @@ class Pull(Element):
     torque: jax.Array
     point: jax.Array
 
-    def loads(self, now):
-        pole = now.body("pole")
+    def loads(self, context):
+        pole = context.body("pole")
         return pole.push(self.force, self.torque, at=pole.at(self.point).position)
 
 
@@ -45,15 +45,15 @@ class Everywhere(Element):
 
     tau: jax.Array
 
-    def loads(self, now):
-        return now.generalized(self.tau)
+    def loads(self, context):
+        return context.generalized(self.tau)
 
 
 def test_a_push_on_the_world_is_no_load():
     """It is no link's: its number, -1, would be the last link's among columns."""
     model = rb.load("cart_pole")
-    now = Context.of(model, 0.0, model.default_state(), None)
-    assert rb.forces.Place.on().frame(now).push(jnp.ones(3)) == Loads()
+    context = Context.of(model, 0.0, model.default_state(), None)
+    assert rb.forces.Place.on().frame(context).push(jnp.ones(3)) == Loads()
 
 
 def test_generalized_forces_act_as_they_are():
@@ -131,14 +131,14 @@ def test_a_model_with_constants_follows_what_is_changed(key):
 
 
 class Silent(Element):
-    def loads(self, now):
+    def loads(self, context):
         return None
 
 
 class Unmoved(Element):
     size = 2
 
-    def loads(self, now):
+    def loads(self, context):
         return Loads()
 
 

@@ -18,9 +18,12 @@ class OneByOne(Element):
     drag: jax.Array
     force: jax.Array
 
-    def loads(self, now):
+    def loads(self, context):
         return sum(
-            (self.act(now.body(b), self.drag[b], self.force[b]) for b in range(now.model.nb)),
+            (
+                self.act(context.body(b), self.drag[b], self.force[b])
+                for b in range(context.model.nb)
+            ),
             Loads(),
         )
 
@@ -29,8 +32,8 @@ class OneByOne(Element):
 
 
 class Together(OneByOne):
-    def loads(self, now):
-        return rb.forces.on_each(now, range(now.model.nb), self.act, self.drag, self.force)
+    def loads(self, context):
+        return rb.forces.on_each(context, range(context.model.nb), self.act, self.drag, self.force)
 
 
 @pytest.mark.parametrize("driver", ["unrolled", "rolled", "limbs"])
@@ -53,19 +56,19 @@ class More(Element):
     k: jax.Array
     what: str = eqx.field(static=True)
 
-    def loads(self, now):
-        first = now.model.joint_names[-1]
+    def loads(self, context):
+        first = context.model.joint_names[-1]
 
         def act(body, k):
             own = body.push(rb.lanes.Vec3(0.0, k, 0.0))
             if self.what == "joint":
-                return own + now.joint(first).push(k)
+                return own + context.joint(first).push(k)
             if self.what == "body":
-                return own + now.body(0).at([0.0, 0.0, 0.3]).push(rb.lanes.Vec3(k, 0.0, 0.0))
+                return own + context.body(0).at([0.0, 0.0, 0.3]).push(rb.lanes.Vec3(k, 0.0, 0.0))
             tip = body.at([0.1, 0.0, 0.2])
             return tip.push(tip.acceleration * k)
 
-        return rb.forces.on_each(now, range(now.model.nb), act, self.k)
+        return rb.forces.on_each(context, range(context.model.nb), act, self.k)
 
 
 @pytest.mark.parametrize("what", ["joint", "body", "acceleration"])

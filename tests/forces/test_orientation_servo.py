@@ -32,8 +32,8 @@ def test_against_mujoco():
 def test_a_target_of_more_than_half_a_turn_becomes_the_shorter_one():
     model = load_quietly(limbs(SERVOS[4].replace(' actrange="-1 1"', "")))
     state = model.default_state().replace(x=jnp.array([0.0, 3.1, 0.0]))
-    now = Context.of(model, 0.0, state, jnp.array([0.0, 1, 0]))
-    np.testing.assert_allclose(states(model, now, 0.1), [0, 3.2 - 2 * np.pi, 0], atol=1e-15)
+    context = Context.of(model, 0.0, state, jnp.array([0.0, 1, 0]))
+    np.testing.assert_allclose(states(model, context, 0.1), [0, 3.2 - 2 * np.pi, 0], atol=1e-15)
 
 
 def test_derivatives_are_finite_at_the_target():

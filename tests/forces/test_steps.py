@@ -68,8 +68,8 @@ def test_a_step_that_is_not_the_model_s(integrator, theirs, more):
 class Clock(rb.forces.Element):
     """A force of the size of the step."""
 
-    def loads(self, now):
-        return now.joint(0).push(jnp.asarray(-1.0 if now.dt is None else now.dt))
+    def loads(self, context):
+        return context.joint(0).push(jnp.asarray(-1.0 if context.dt is None else context.dt))
 
 
 @pytest.mark.parametrize("integrator", [

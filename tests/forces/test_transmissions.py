@@ -39,10 +39,10 @@ def reaches(m: mujoco.MjModel, driver: str):
     model = load_quietly(m).replace(driver=driver)
 
     def one(state):
-        now = Context.of(model, 0.0, state, None)
-        found = [element.transmission.reach(now) for element in model.forces]
+        context = Context.of(model, 0.0, state, None)
+        found = [element.transmission.reach(context) for element in model.forces]
         lengths = jnp.stack([jnp.asarray(x.length, float) for x in found])
-        speeds = jnp.stack([jnp.asarray(x.speed(now), float) for x in found])
+        speeds = jnp.stack([jnp.asarray(x.speed(context), float) for x in found])
         arms = [jnp.stack([jnp.asarray(x.arms.get(i, 0.0), float) for i in range(m.nv)])
                 for x in found]  # fmt: skip
         return lengths, speeds, jnp.stack(arms)

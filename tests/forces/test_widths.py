@@ -68,8 +68,8 @@ def test_a_product_of_two_vectors_is_not_a_scaled_one():
     class Wrong(F.Element):
         gains: jax.Array
 
-        def loads(self, now):
-            body = now.body("lower")
+        def loads(self, context):
+            body = context.body("lower")
             return body.push(body.velocity * self.gains)
 
     def push(gains):

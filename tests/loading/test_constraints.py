@@ -43,9 +43,9 @@ EQUALITIES = {  # one of each form; its kind here
 
 def rows_and_gradients(model: rb.Model):
     def found(q):
-        now = rb.forces.Context.of(model, 0.0, rb.State(q, np.zeros(model.nv)), None)
-        rows = rows_of(model, now)
-        return jax.numpy.stack([row.value for row in rows]), gradient_matrix(now, rows)
+        context = rb.forces.Context.of(model, 0.0, rb.State(q, np.zeros(model.nv)), None)
+        rows = rows_of(model, context)
+        return jax.numpy.stack([row.value for row in rows]), gradient_matrix(context, rows)
 
     return jax.jit(found, compiler_options=QUICK)
 

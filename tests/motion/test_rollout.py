@@ -1,5 +1,7 @@
 """Rollouts: against MuJoCo C's own steps, order, batches, memory and derivatives."""
 
+import warnings
+
 import diffrax
 import equinox as eqx
 import jax
@@ -299,3 +301,38 @@ def test_the_rate_of_an_increment_is_the_inverse_right_jacobian():
     found = np.array(rate_lanes(top, list(jnp.asarray(u)), list(jnp.asarray(v))))
     np.testing.assert_allclose(found[:3], v[:3])
     assert relative_error(found[3:], expected) < F64_TRANSFORM
+
+
+@pytest.mark.parametrize("steps", [4, 6])
+@pytest.mark.parametrize("method", ["rk4", "tsit5"])
+def test_turns_of_a_radian_and_more_a_step_are_those_of_the_method_itself(method, steps):
+    """A free body at 22.9 rad/s, 3.8 and 5.7 rad a step: the method on Euler's equations, by numpy.
+
+    Beyond its stability the motion of an explicit method grows until it is not finite; before that
+    nothing of the rotation's own coordinates adds to it.
+    """
+    tables = {"tsit5": diffrax.Tsit5.tableau}
+    A = [[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]]
+    b = [1 / 6, 1 / 3, 1 / 3, 1 / 6]
+    if method in tables:
+        A = [[], *(row.tolist() for row in tables[method].a_lower)]
+        b = tables[method].b_sol.tolist()
+    model, h = rb.load("free_body"), 1.0 / steps
+    inertia = np.asarray(rb.mass_matrix(model, model.default_state().q))[3:, 3:]
+    w = np.array([10.0, 20.0, -5.0])
+    due = [w]
+    for _ in range(steps):
+        k: list[np.ndarray] = []
+        for row in A:
+            x = w + h * sum((a * y for a, y in zip(row, k, strict=False)), np.zeros(3))
+            k.append(np.linalg.solve(inertia, -np.cross(x, inertia @ x)))
+        w = w + h * sum(c * y for c, y in zip(b, k, strict=False))
+        if np.abs(w).max() > 1e6:
+            break
+        due.append(w)
+    start = model.default_state().replace(v=jnp.array([0.0, 0, 0, 10.0, 20.0, -5.0]))
+    with warnings.catch_warnings(action="ignore"):  # where the motion grows beyond all numbers
+        path = rb.rollout(model, start, None, h, steps=steps, integrator=method)
+    np.testing.assert_allclose(path.v[: len(due), 3:], due, rtol=1e-6)
+    assert np.isfinite(path.q[: len(due)]).all()
+    assert bool(path.ok) == (len(due) == steps + 1)

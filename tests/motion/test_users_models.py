@@ -44,8 +44,8 @@ def heavy_step(field, t, state, inputs, dt):
 class Lifted(rb.forces.Element):
     """The gravity forces of a model with other masses, against the gravity of this one."""
 
-    def loads(self, now):
-        return now.generalized(rb.gravity_forces(heavier(now.model), now.q))
+    def loads(self, context):
+        return context.generalized(rb.gravity_forces(heavier(context.model), context.q))
 
 
 def start(dtype, batch):
@@ -114,10 +114,10 @@ class Clipped(rb.forces.Element):
     speed: jax.Array
     size = 1
 
-    def loads(self, now):
-        return now.joint("shoulder").push(now.x[0])
+    def loads(self, context):
+        return context.joint("shoulder").push(context.x[0])
 
-    def rate(self, now):
+    def rate(self, context):
         return [self.speed]
 
     def within(self, x):
@@ -155,8 +155,8 @@ def test_a_law_under_xla_takes_forces_that_are_constants():
     class Steady(rb.forces.Element):
         force: jax.Array
 
-        def loads(self, now):
-            return now.body("lower").push(self.force)
+        def loads(self, context):
+            return context.body("lower").push(self.force)
 
     model = MODEL.with_forces(Steady(jnp.array([3.0, 0.0, 0.0])))
     state = start(jnp.float64, 4)

@@ -214,8 +214,8 @@ class Stiff(rb.forces.Element):
 
     k: jax.Array
 
-    def loads(self, now):
-        joint = now.joint(0)
+    def loads(self, context):
+        joint = context.joint(0)
         return joint.push(-self.k * joint.q[0])
 
 

@@ -173,13 +173,13 @@ def test_failures_are_results() -> None:
         (dict(field=GRID.distance_field()), ["only one of field and footprint"]),
         (dict(field=GRID, footprint=Footprint.disc(0.2)), ["OccupancyGrid", "DistanceField"]),
         (dict(intervals=0), ["intervals is 0", "integer of at least 1"]),
-        (dict(vehicle=rb.wheeled.at(cart().robot, "kinematic")), ["Kinematic", "kinematical"]),
+        (dict(model=rb.wheeled.at(cart().robot, "kinematic")), ["Kinematic", "kinematical"]),
         (dict(path=Path(np.zeros((2, 3)), np.zeros((2, 4, 3)))), ["(2, 4, 3)", "jax.vmap"]),
     ],
     ids=range(5),
 )
 def test_wrong_arguments(rest: dict, words: list[str]) -> None:
-    given = dict(vehicle=cart(), path=overshoot(3, 0, False), limits=Limits(1.0)) | rest
+    given = dict(model=cart(), path=overshoot(3, 0, False), limits=Limits(1.0)) | rest
     with pytest.raises(rb.InputError) as caught:
         refine(**given)
     for word in words:

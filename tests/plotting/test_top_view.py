@@ -65,11 +65,11 @@ def test_forces_accelerate_the_car(car, motion):
     def velocity_of_the_center(s):
         rate = wheeled.rates(car, state, u)
         q, v = state.q + s * rate.q, state.v + s * rate.v
-        now = car.context(State(q, v))
-        n = now.n
+        context = car.context(State(q, v))
+        n = context.n
         x, y = (float(a) / float(n.bodies[0].mass) for a in n.bodies[0].moment)
         body = np.array([v[0] - v[2] * y, v[1] + v[2] * x])
-        return vectors(body, np.array([float(a) for a in now.pose]))
+        return vectors(body, np.array([float(a) for a in context.pose]))
 
     found = (velocity_of_the_center(h) - velocity_of_the_center(-h)) / (2 * h)
     np.testing.assert_allclose(forces.sum(0) / float(n.bodies[0].mass), found, rtol=1e-6)
@@ -78,7 +78,7 @@ def test_forces_accelerate_the_car(car, motion):
 def test_a_picture_shows_all_of_the_robot(car, motion):
     ax = Figure().subplots()
     grid = OccupancyGrid(np.eye(4, dtype=bool), 1.0, [-2.0, -2.0])
-    top_view(ax, car, motion, robots=2, controls=jnp.array([20.0, 0.3]), grid=grid)
+    top_view(ax, car, motion, robots=2, ctrl=jnp.array([20.0, 0.3]), grid=grid)
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     for k in (0, -1):
         found = centers(car.robot, places(car, motion.q[k]))
@@ -89,7 +89,7 @@ def test_a_picture_shows_all_of_the_robot(car, motion):
 def test_a_film(car, motion, tmp_path):
     done = []
     file = animate_top_view(
-        car, motion, tmp_path / "car.gif", controls=lambda t, s: jnp.array([20.0, 0.3]), speed=0.5,
+        car, motion, tmp_path / "car.gif", ctrl=lambda t, s: jnp.array([20.0, 0.3]), speed=0.5,
         footprint=Footprint.disc(0.5), size=(200, 160), progress=lambda *x: done.append(x),
     )  # fmt: skip
     with Image.open(file) as picture:
@@ -101,7 +101,7 @@ def test_a_film(car, motion, tmp_path):
     ("how", "says"),
     [
         ({"file": "car.html"}, "ends in .gif, .mp4"),
-        ({"controls": np.zeros(3)}, "controls have shape"),
+        ({"ctrl": np.zeros(3)}, "ctrl has shape"),
         ({"fps": 0.0}, "fps is 0.0"),
     ],
 )

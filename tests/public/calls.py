@@ -216,8 +216,8 @@ PLANNING: Calls = {
                "parts": 2},
     "Limits": {"torque": 1.0, "speed": 2.0, "turn_rate": 1.0, "steering_rate": 1.0},
     "Path": {"start": START, "steps": np.array([[1.0, 0.0, 0.5]])},
-    "time_scaling": {"vehicle": VEHICLE, "path": DRIVEN, "limits": Limits(torque=1.0, speed=2.0)},
-    "refine": {"vehicle": VEHICLE, "path": DRIVEN, "limits": Limits(torque=1.0, speed=2.0),
+    "time_scaling": {"model": VEHICLE, "path": DRIVEN, "limits": Limits(torque=1.0, speed=2.0)},
+    "refine": {"model": VEHICLE, "path": DRIVEN, "limits": Limits(torque=1.0, speed=2.0),
                "intervals": 6, "iterations": 1, "parts": 1},
 }  # fmt: skip
 
@@ -371,7 +371,7 @@ PLOTTING: Calls = {
     "strobe": {"ax": axis(), "source": None, "model": PENDULUM, "q": np.zeros((2, 1))},
     "time_plot": {"axes": [axis(), axis()], "ts": np.arange(3.0), "q": np.zeros((3, 2)),
                   "v": np.zeros((3, 2)), "names": ["hip", "knee"]},
-    "top_view": {"ax": axis(), "vehicle": VEHICLE,
+    "top_view": {"ax": axis(), "model": VEHICLE,
                  "path": wheeled.rollout(VEHICLE, STATE, np.zeros((3, 2)), 0.01), "robots": 2},
 }  # fmt: skip
 

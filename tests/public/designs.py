@@ -138,7 +138,7 @@ def planned(method: str) -> Callable[[Any], Callable]:
         model = cart(dtype)
         goal = control.StateError(model.default_state())
         problem = control.Problem(model, 4, 0.05, running=[goal, control.Control()])
-        return lambda q, v: control.solve(problem, rb.State(q, v), method=method).ctrls
+        return lambda q, v: control.solve(problem, rb.State(q, v), method=method).ctrl
 
     return make
 

@@ -13,8 +13,9 @@ from rbjax.sysid.estimators.verdict import _tiny
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.parameters.unknowns import Inertia, Unknown, put
-from rbjax.sysid.simulation.runs import _first_readings
-from rbjax.sysid.simulation.setup import Grid, Path, interpolate_state
+from rbjax.sysid.simulation.runs import _first_readings, make_batch
+from rbjax.sysid.simulation.setup import Grid, Path, Setup, interpolate_state
+from rbjax.sysid.simulation.simulation_error import HUBER, SimulationError
 from rbjax.sysid.simulation.traces import FEW, Trace
 
 RNG = np.random.default_rng(0)
@@ -49,6 +50,23 @@ def test_first_readings():
     np.testing.assert_array_equal(_first_readings(model, told, 0.0), [[1.0], [7.0]])
     bare = Recording("bare", {"q": Channel(T, q)})
     np.testing.assert_allclose(_first_readings(model, bare, 0.0), [[1.0], [2.0]], rtol=1e-9)
+
+
+def test_residuals_of_a_simulation_are_robust_by_the_loss():
+    """r = sign(u) sqrt(2 rho(u)) with Huber's rho; u is -off, because the pendulum rests."""
+    model = rb.load("pendulum")
+    still = rb.State(np.zeros(1), np.zeros(1))
+    off = np.array([0.0, 0.5, -1.2, 4.0, -9.0])
+    noise = np.full(1, 0.1)
+    run = Recording("still", {"q": Channel(T[:5], 0.1 * off, noise=noise)}, initial_state=still)
+    setup, grid = Setup.of(model), Grid(0.02)
+    sought = Unknowns.of("test", {"mass": Unknown("bodies.mass", 0)}, setup)
+    data = make_batch(setup, [run], grid)
+    of = SimulationError(setup, sought, data, grid, estimate_initial_state=False, loss="huber")
+    found = np.ravel(of.residuals(np.asarray(sought.read(setup))))
+    far = np.abs(off) > HUBER
+    due = np.where(far, np.sqrt(np.maximum(HUBER * (2 * np.abs(off) - HUBER), 0)), np.abs(off))
+    np.testing.assert_allclose(found, -np.sign(off) * due, rtol=0, atol=1e-12)
 
 
 def test_a_piece_from_the_start_keeps_the_initial_state():

@@ -32,7 +32,7 @@ def both(setup: Setup, grid: Grid, count: int) -> list:
             moved = simulate_motion(
                 lambda p: of.write(setup, p), x[:-2], start, commands, grid, count=count
             )
-            return [moved.q, moved.v, moved.ctrls]
+            return [moved.q, moved.v, moved.ctrl]
 
         x = jnp.append(of.read(setup), jnp.array([0.3, -0.2]))
 

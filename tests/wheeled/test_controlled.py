@@ -162,7 +162,7 @@ def test_three_omni_wheels_take_the_least_torques_of_a_closed_form() -> None:
     off = G @ F - [1.0, 0.0]
     assert found.success
     np.testing.assert_allclose(found.cost, (F @ R @ F + off @ W @ off) / 2, rtol=1e-10)
-    np.testing.assert_allclose(found.ctrls, F[:, None] * r * -np.sin(angles) / 1.5, atol=1e-9)
+    np.testing.assert_allclose(found.ctrl, F[:, None] * r * -np.sin(angles) / 1.5, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -180,12 +180,12 @@ def test_a_cart_parks_at_an_optimum_by_its_mass_too() -> None:
     )  # fmt: skip
     found = control.solve(problem, start)
     assert found.success
-    cost, path = _cost_and_path(cart, start, found.ctrls, h)
+    cost, path = _cost_and_path(cart, start, found.ctrl, h)
     np.testing.assert_allclose(found.cost, cost, rtol=1e-12)
     assert relative_error(found.states.q, path.q) < F64_TRANSFORM
     assert np.abs(path.q[-1, :3]).max() < 1e-3 and np.abs(path.v[-1]).max() < 1e-2
     slope = jax.grad(lambda u: _cost_and_path(cart, start, u, h)[0])
-    assert np.abs(slope(found.ctrls)).max() < 1e-6 * np.abs(slope(jnp.zeros((steps, 2)))).max()
+    assert np.abs(slope(found.ctrl)).max() < 1e-6 * np.abs(slope(jnp.zeros((steps, 2)))).max()
 
 
 def _cost_and_path(cart, start, u, h):
@@ -230,13 +230,13 @@ def test_a_car_that_slips_changes_lanes_as_by_quasi_newton_shooting(method) -> N
             C(lambda t, state, ctrl: state.v[1:3], 10.0),
         ],
     )  # fmt: skip
-    found = control.solve(problem, start, ctrls=begin, method=method)
+    found = control.solve(problem, start, ctrl=begin, method=method)
     assert found.success
-    path = path_of(found.ctrls)
+    path = path_of(found.ctrl)
     for one, other in ((found.states.q, path.q), (found.states.v, path.v)):
         assert relative_error(one, other) < F64_TRANSFORM
     slope = jax.jit(jax.value_and_grad(lambda z: cost_of(z.reshape(steps, 2))))
-    value, gradient = slope(found.ctrls.ravel())
+    value, gradient = slope(found.ctrl.ravel())
     np.testing.assert_allclose(found.cost, value, rtol=1e-12)
     assert np.abs(gradient).max() < 1e-7 * np.abs(slope(begin.ravel())[1]).max()
     peer = scipy.optimize.minimize(

@@ -160,14 +160,14 @@ def laws(robot: wheeled.Robot, fidelity: str):
     reduced, law = wheeled.at(robot, "kinematical"), wheeled.at(robot, fidelity)
 
     def found(q, v, u):
-        now = reduced.context(State(q, v), u)
-        n = now.n
-        w = reduced.full_velocities(now)
+        context = reduced.context(State(q, v), u)
+        n = context.n
+        w = reduced.full_velocities(context)
         if fidelity == "constrained":
-            rates = stacked(law.accelerations(replace(now, v=w)))
+            rates = stacked(law.accelerations(replace(context, v=w)))
         else:
-            rates = stacked(full_rates(n, now, w, law.accelerations(now)))
-        return stacked(reduced.coordinate_rates(now)), rates
+            rates = stacked(full_rates(n, context, w, law.accelerations(context)))
+        return stacked(reduced.coordinate_rates(context)), rates
 
     return jax.jit(found)
 

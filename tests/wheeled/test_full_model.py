@@ -53,11 +53,11 @@ def samples(fidelity, seed=0):
         yield q, 2 * rng.normal(size=fidelity.nv), rng.normal(size=fidelity.nu)
 
 
-def full_rates(n, now, w, change):
+def full_rates(n, context, w, change):
     """w' by that of the free velocities."""
-    shape = now.shape_with_rate(w)
+    shape = context.shape_with_rate(w)
     return rates(
-        rolling_velocities(n, shape, [Dual(a, b) for a, b in zip(now.v, change, strict=True)])
+        rolling_velocities(n, shape, [Dual(a, b) for a, b in zip(context.v, change, strict=True)])
     )
 
 
@@ -68,20 +68,20 @@ def test_accelerations_and_energy(name):
     eliminated = wheeled.at(robot, "dynamical")
 
     def found(q, v, u):
-        now = reduced.context(State(q, v), u)
-        n = now.n
-        w = reduced.full_velocities(now)
-        then = replace(now, v=w)
-        resting = replace(now, u=now.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
+        context = reduced.context(State(q, v), u)
+        n = context.n
+        w = reduced.full_velocities(context)
+        then = replace(context, v=w)
+        resting = replace(context, u=context.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
         model, state = full_state(resting, w)
         T = rb.kinetic_energy(model, state.q, state.v)
         return {
             "w": stacked(w),
             "on rows": stacked(full.full_velocities(then)),
-            "by twists": stacked(full_rates(n, now, w, reduced.accelerations(now))),
-            "by multipliers": stacked(full_rates(n, now, w, eliminated.accelerations(now))),
+            "by twists": stacked(full_rates(n, context, w, reduced.accelerations(context))),
+            "by multipliers": stacked(full_rates(n, context, w, eliminated.accelerations(context))),
             "constrained": stacked(full.accelerations(then)),
-            "T": jnp.stack([T, kinetic_energy(n, now.shape, w)]),
+            "T": jnp.stack([T, kinetic_energy(n, context.shape, w)]),
         }
 
     run = jax.jit(found)
@@ -101,30 +101,30 @@ def test_separation_of_wrenches_term_by_term(name):
     reduced = wheeled.at(robot, "kinematical")
 
     def found(q, nu, u):
-        now = reduced.context(State(q, nu), u)
-        n = now.n
+        context = reduced.context(State(q, nu), u)
+        n = context.n
 
         def lifted(nu):
-            moved = replace(now, v=[nu[i] for i in range(reduced.nv)])
+            moved = replace(context, v=[nu[i] for i in range(reduced.nv)])
             return full_state(moved, reduced.full_velocities(moved))[1].v
 
-        model, state = full_state(now, reduced.full_velocities(now))
+        model, state = full_state(context, reduced.full_velocities(context))
         S = jax.jacfwd(lifted)(nu)
         M = rb.mass_matrix(model, state.q)
         # S' nu: how velocities change as q moves on and nu does not
 
         def ahead(s):
-            w = reduced.full_velocities(now)
-            dq = stacked(coordinate_rates(now, w))
-            there = replace(now, q=[a + s * b for a, b in zip(now.q, dq, strict=True)])
+            w = reduced.full_velocities(context)
+            dq = stacked(coordinate_rates(context, w))
+            there = replace(context, q=[a + s * b for a, b in zip(context.q, dq, strict=True)])
             return full_state(there, reduced.full_velocities(there))[1].v
 
         bias = rb.bias_forces(model, state.q, state.v)
         _, dS = jax.jvp(ahead, (0.0,), (1.0,))
         rows = jacobian(model, state.q)
-        w = reduced.full_velocities(now)
+        w = reduced.full_velocities(context)
         no_torques = [0.0] * len(n.shafts)
-        book = projected_equations(now, w, rolling_velocities, now.v, no_torques)
+        book = projected_equations(context, w, rolling_velocities, context.v, no_torques)
         return {
             "rows": rows @ S,
             "M": (S.T @ M @ S, jnp.stack([stacked(row) for row in book.M])),
@@ -144,12 +144,12 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
     full, reduced = Constrained(robot), wheeled.at(robot, "kinematical")
 
     def found(q, nu, u):
-        now = reduced.context(State(q, nu), u)
-        n = now.n
-        w = reduced.full_velocities(now)
-        now = replace(now, v=w)
-        model, state = full_state(now, w)
-        a = full.accelerations(now)
+        context = reduced.context(State(q, nu), u)
+        n = context.n
+        w = reduced.full_velocities(context)
+        context = replace(context, v=w)
+        model, state = full_state(context, w)
+        a = full.accelerations(context)
         # p' in the chassis' axes, from V and V'
         M, (cx, cy) = model.bodies.mass.sum(), rb.center_of_mass(model, state.q)[:2]
         c, s = jnp.cos(q[2]), jnp.sin(q[2])
@@ -158,8 +158,8 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         ax = a[0] - w[2] * w[1] - a[2] * y - w[2] ** 2 * x
         ay = a[1] + w[2] * w[0] + a[2] * x - w[2] ** 2 * y
         fx, fy = 0.0, 0.0
-        shape = now.shape
-        for (ahead, left), way in zip(full.axle_forces(now), shape.wheels, strict=True):
+        shape = context.shape
+        for (ahead, left), way in zip(full.axle_forces(context), shape.wheels, strict=True):
             fx, fy = fx + ahead * way[0] - left * way[1], fy + ahead * way[1] + left * way[0]
         gx, gy = n.downhill
         weight = M * (c * gx + s * gy), M * (c * gy - s * gx)
@@ -174,11 +174,11 @@ def test_formulations_agree_and_velocities_off_the_rows_are_put_on_them():
     robot = on_a_slope("differential_drive")
 
     def found(q, w, u):
-        now = Constrained(robot).context(State(q, w), u)
-        model, state = full_state(now, Constrained(robot).full_velocities(now))
+        context = Constrained(robot).context(State(q, w), u)
+        model, state = full_state(context, Constrained(robot).full_velocities(context))
         rows = jacobian(model, state.q) @ state.v
         laws = Constrained(robot), Constrained(robot, Formulation(KKT()))
-        return rows, *(stacked(law.accelerations(now)) for law in laws)
+        return rows, *(stacked(law.accelerations(context)) for law in laws)
 
     one, rng = Constrained(robot), np.random.default_rng(1)
     given = [rng.normal(size=size) for size in (one.nq, one.nv, one.nu)]
@@ -200,8 +200,8 @@ def test_derivatives_by_the_robots_numbers():
         ]
         chassis = robot.bodies[0].replace(mass=mass)
         one = Constrained(robot.replace(bodies=(chassis,), wheels=tuple(wheels)))
-        now = one.context(State(jnp.asarray(q), jnp.asarray(w)), u)
-        return stacked(one.accelerations(now))
+        context = one.context(State(jnp.asarray(q), jnp.asarray(w)), u)
+        return stacked(one.accelerations(context))
 
     both = jax.jit(lambda x: jax.jvp(speeding, (x[0], x[1]), (jnp.ones(()), jnp.full((), 0.1))))
     h = 1e-5
@@ -249,9 +249,9 @@ def test_rows_hold_over_a_long_rollout() -> None:
         path = wheeled.rollout(vehicle, start, lambda t, s: u, 0.001, steps=20_000, save_every=2000)
         assert path.ok
         ends.append(path)
-    now = full.context(State(ends[0].q[-1], ends[0].v[-1]))
-    n = now.n
-    found = constraint_rates(n, now.shape, now.v)
+    context = full.context(State(ends[0].q[-1], ends[0].v[-1]))
+    n = context.n
+    found = constraint_rates(n, context.shape, context.v)
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
     np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)
 

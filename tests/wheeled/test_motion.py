@@ -49,14 +49,14 @@ def end_of(vehicle, twist, u, dt):
         own, dtype = back(row), row.dtype
         if not jnp.iscomplexobj(row):
             return wheeled.rollout(own, start, u, dt, save_every=len(u)).q[-1, :3]
-        now = own.context(jax.tree.map(lambda x: x.astype(dtype), start))
-        n = now.n
+        context = own.context(jax.tree.map(lambda x: x.astype(dtype), start))
+        n = context.n
 
         def once(y, u):
             after = INTEGRATORS["rk4"](own, n, y, list(u), dt)
             return jax.tree.map(lambda x: jnp.asarray(x, dtype), after), None
 
-        begin = (now.q, now.v, now.x)
+        begin = (context.q, context.v, context.x)
         q = jax.lax.scan(once, begin, u.astype(dtype))[0][0]
         return jnp.stack(q[:3])
 
@@ -116,25 +116,25 @@ def test_gradients_of_ten_seconds_by_every_number(case) -> None:
 
 
 def energy(vehicle, state, u):
-    now = vehicle.context(state, u)
-    n = now.n
-    w = vehicle.full_velocities(now)
-    return kinetic_energy(n, now.shape, w) + potential_energy(now)
+    context = vehicle.context(state, u)
+    n = context.n
+    w = vehicle.full_velocities(context)
+    return kinetic_energy(n, context.shape, w) + potential_energy(context)
 
 
 def power(vehicle, state, u):
     """What drives take in less their heat; what contacts and rolling resistance take away."""
-    now = vehicle.context(state, u)
-    n = now.n
-    robot, w = vehicle.robot, vehicle.full_velocities(now)
-    shape, shafts = now.shape, w[2 + len(n.bodies) :]
+    context = vehicle.context(state, u)
+    n = context.n
+    robot, w = vehicle.robot, vehicle.full_velocities(context)
+    shape, shafts = context.shape, w[2 + len(n.bodies) :]
     total, lost = 0.0, 0.0
     for i, drive in enumerate(robot.drives):
         speed = drive_speeds(n, shafts)[i]
         total += drive.motor.power_in(u[i], speed)
         lost += drive.motor.heat(u[i], speed)
     slips = isinstance(vehicle, Slipping)
-    loads, forces = vehicle.wheel_forces(now) if slips else (wheel_loads(n), None)
+    loads, forces = vehicle.wheel_forces(context) if slips else (wheel_loads(n), None)
     twists = twists_of(n, shape, w)
     for i, (wheel, (c, s)) in enumerate(zip(n.wheels, shape.wheels, strict=True)):
         roll = wheel.radius * shafts[wheel.shaft]
@@ -154,8 +154,8 @@ def balance(vehicle, control, seconds: float, twist):
 
     def rate(t, y, _):
         state, u = y[0], control(t)
-        now = vehicle.context(state, u)
-        return as_state(*vehicle.rates(now), state.q.dtype), power(vehicle, state, u)
+        context = vehicle.context(state, u)
+        return as_state(*vehicle.rates(context), state.q.dtype), power(vehicle, state, u)
 
     def solved(start):
         out = diffrax.diffeqsolve(
@@ -237,12 +237,12 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
     assert path.ok and np.abs(np.diff(path.q[:, :2], axis=0)).max() > 1.0
     off = 0.0
     for state in map(path.state, range(11)):
-        now = vehicle.context(State(state.q, state.v))
-        n = now.n
-        found = constraint_rates(n, now.shape, vehicle.full_velocities(now))
+        context = vehicle.context(State(state.q, state.v))
+        n = context.n
+        found = constraint_rates(n, context.shape, vehicle.full_velocities(context))
         off = max(off, np.abs(np.array(found, float)).max())
         if fidelity == "constrained":  # v as it is kept
-            found = constraint_rates(n, now.shape, now.v)
+            found = constraint_rates(n, context.shape, context.v)
             off = max(off, np.abs(np.array(found, float)).max())
     assert off < (1e-15 if fidelity == "kinematical" else 1e-12)
 

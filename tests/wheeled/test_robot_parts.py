@@ -37,8 +37,8 @@ def test_rolling_resistance_of_loads_at_rest():
     """-c N r tanh(r phi' / u) on each shaft, besides the torques of the drives."""
     robot = UNICYCLE.replace(resistance=RollingResistance(0.02, 0.01))
     n = parameters_of(robot, jnp.float64)
-    now, w = SimpleNamespace(n=n, u=[1.5, -0.5]), [0.0, 0.0, 0.0, 0.3, -0.2]
-    found = [float(x) for x in shaft_torques(now, w)]
+    context, w = SimpleNamespace(n=n, u=[1.5, -0.5]), [0.0, 0.0, 0.0, 0.3, -0.2]
+    found = [float(x) for x in shaft_torques(context, w)]
     loads = np.array([float(x) for x in wheel_loads(n)])
     r = np.array([float(wheel.radius) for wheel in robot.wheels])
     due = [1.5, -0.5] - 0.02 * loads * r * np.tanh(r * w[3:] / 0.01)

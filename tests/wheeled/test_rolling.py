@@ -122,10 +122,10 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
     u = u.at[len(robot.drives) :].set(0.0)
 
     def energy(q, v):
-        now = vehicle.context(State(q, v), u)
-        n = now.n
-        w = vehicle.full_velocities(now)
-        return jnp.asarray(kinetic_energy(n, now.shape, w) + potential_energy(now))
+        context = vehicle.context(State(q, v), u)
+        n = context.n
+        w = vehicle.full_velocities(context)
+        return jnp.asarray(kinetic_energy(n, context.shape, w) + potential_energy(context))
 
     rate = wheeled.rates(vehicle, state, u)
     _, change = jax.jvp(energy, (state.q, state.v), (rate.q, rate.v))
@@ -140,9 +140,9 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
 def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
     vehicle = wheeled.at(wheeled.kinds()[kind].make(), "kinematical")
     state, u = random_state(vehicle, 3)
-    now = vehicle.context(state, u)
-    n = now.n
-    found = constraint_rates(n, now.shape, vehicle.full_velocities(now))
+    context = vehicle.context(state, u)
+    n = context.n
+    found = constraint_rates(n, context.shape, vehicle.full_velocities(context))
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-14)
 
 
@@ -151,19 +151,19 @@ def test_what_holds_the_wheels_does_no_work(kind) -> None:
     """On any motion that wheels allow; and of a turn at constant speed it is m v w, to the left."""
     vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "kinematical")
     state, u = random_state(vehicle, 5)
-    now = vehicle.context(state, u)
-    n = now.n
-    shape = now.shape
-    held = np.array(vehicle.ground_forces(now), float)
+    context = vehicle.context(state, u)
+    n = context.n
+    shape = context.shape
+    held = np.array(vehicle.ground_forces(context), float)
     for unit in np.eye(vehicle.nv):
         basis = np.array(rolling_velocities(n, shape, list(unit)), float)
         scale = np.abs(held * basis).max()
         assert abs(held @ basis) <= 1e-13 * max(1.0, scale)
     cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None, com=(0.0, 0.0)),
                       "kinematical")  # fmt: skip
-    now = cart.context(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
-    n = now.n
-    np.testing.assert_allclose(cart.ground_forces(now)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
+    context = cart.context(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
+    n = context.n
+    np.testing.assert_allclose(cart.ground_forces(context)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
 
 
 def test_classes_of_arrangements() -> None:
@@ -206,8 +206,8 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
     vehicle = wheeled.at(car, "kinematical")
     state = wheeled.start(vehicle)
     state = state.replace(q=state.q.at[3].set(np.arctan(0.6)), v=jnp.ones(1))
-    now = vehicle.context(state)
-    shape = now.shape
+    context = vehicle.context(state)
+    shape = context.shape
     centre = np.array([0.0, 2.0 / 0.6])
     for wheel, e, sign in zip(front, shape.wheels[2:], (-1, 1), strict=True):
         arm = np.asarray(wheel.position) - centre
@@ -229,10 +229,10 @@ def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     vehicle = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
     state = wheeled.start(vehicle, twist=[3.0, 0.0, 0.0])
     state = State(state.q.at[3].set(0.5), state.v)
-    now = vehicle.context(state)
-    n = now.n
-    shape = now.shape
-    twists = twists_of(n, shape, vehicle.full_velocities(now))
+    context = vehicle.context(state)
+    n = context.n
+    shape = context.shape
+    twists = twists_of(n, shape, vehicle.full_velocities(context))
     for i in range(4):
         assert abs(contact_velocity(n, shape, twists, i)[1]) < 1e-14
     x, _, w = twists[0]

@@ -49,17 +49,17 @@ def test_power_is_balanced(kind) -> None:
     u = jnp.array(random.normal(size=robot.nu)).at[len(robot.drives) :].set(0.0)
 
     def energy(q, v):
-        now = vehicle.context(State(q, v), u)
-        n = now.n
-        return jnp.asarray(kinetic_energy(n, now.shape, v) + potential_energy(now))
+        context = vehicle.context(State(q, v), u)
+        n = context.n
+        return jnp.asarray(kinetic_energy(n, context.shape, v) + potential_energy(context))
 
     rate = wheeled.rates(vehicle, State(q, v), u)
     _, change = jax.jvp(energy, (q, v), (rate.q, rate.v))
-    now = vehicle.context(State(q, v), u)
-    n = now.n
-    shape = now.shape
-    twists = twists_of(n, shape, now.v)
-    loads, forces = vehicle.wheel_forces(now)
+    context = vehicle.context(State(q, v), u)
+    n = context.n
+    shape = context.shape
+    twists = twists_of(n, shape, context.v)
+    loads, forces = vehicle.wheel_forces(context)
     shafts = v[2 + len(robot.bodies) :]
     power, sliding = 0.0, []
     for drive, torque in zip(robot.drives, u, strict=False):
@@ -83,10 +83,10 @@ def test_loads_carry_the_weight_and_balance_the_moments_of_the_tyres() -> None:
     vehicle = wheeled.at(KINDS["car"].make(), "slipping", tyre=Fiala(15.0, 0.9))
     state = wheeled.start(vehicle, twist=[15.0, 0.0, 0.0])
     v = state.v.at[1].set(0.8).at[3].mul(1.05).at[4].mul(1.04)
-    now = vehicle.context(State(state.q, v))
-    n = now.n
+    context = vehicle.context(State(state.q, v))
+    n = context.n
     at_rest = np.array(wheel_loads(n), float)
-    loads, forces = (np.array(x, float) for x in vehicle.wheel_forces(now))
+    loads, forces = (np.array(x, float) for x in vehicle.wheel_forces(context))
     places = np.array([w.position for w in vehicle.robot.wheels])
     body = n.bodies[0]
     weight, com = body.mass * 9.81, np.array(body.moment, float) / body.mass

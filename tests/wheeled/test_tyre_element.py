@@ -52,13 +52,13 @@ def test_power(law, damping):
         state = model.random_state(key)
         if wheel.size:
             state = state.replace(x=0.01 * jax.random.normal(key, (2,)))
-        now = Context.of(model, 0.0, state, None)
-        at = wheel.contact(now)
+        context = Context.of(model, 0.0, state, None)
+        at = wheel.contact(context)
 
         def stored(q):
-            now = Context.of(model, 0.0, state.replace(q=q), None)
+            context = Context.of(model, 0.0, state.replace(q=q), None)
             bare = wheel.replace(tyre=LAWS["linear"]) if law == "relaxing" else wheel
-            return jnp.asarray(bare.energy(now))
+            return jnp.asarray(bare.energy(context))
 
         path = lambda s: stored(rb.integrate(model, state.q, s * state.v))  # noqa: E731
         _, storing = jax.jvp(path, (0.0,), (1.0,))

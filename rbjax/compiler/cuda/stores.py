@@ -187,7 +187,7 @@ def assign_tile(
 
 
 def _uniform_indices(program: Written) -> set[ir.Var | None]:
-    """Return the indices that are equal in all threads: those computed from loop counters."""
+    """Return the indices that are equal in all threads: they depend only on loop counters."""
     found: set[ir.Var | None] = {None}
     for s in ir.walk(program.builder.block):
         if isinstance(s, ir.Loop):

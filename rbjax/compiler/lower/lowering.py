@@ -293,7 +293,7 @@ def dtype_of(aval: Aval) -> Any:
 
 @functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
-    """Return whether a dtype is that of JAX's random keys."""
+    """Return whether a dtype is the dtype of JAX's random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 

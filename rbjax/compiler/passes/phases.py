@@ -82,7 +82,7 @@ class Pending:
 
 
 def _is_seen(array: ir.Array) -> bool:
-    """Return whether several threads may access an array that changes."""
+    """Return whether several threads may access an array that changes during the program."""
     return array.shared or array.space == "result"
 
 
@@ -120,7 +120,11 @@ class _Phases:
     def _hoist(
         self, statements: list[ir.Statement], before: list[set[int]], left: dict[int, None], k: int
     ) -> None:
-        """Move a team loop and its dependencies into the phase, if none of them needs a barrier."""
+        """Move team loop k and its dependencies into the current phase, if none of them needs a
+        barrier.
+
+        before: dependencies of each statement. left: the statements that are not emitted yet.
+        """
         wanted, reached = {k}, [k]
         while reached:
             more = {j for j in before[reached.pop()] if j in left} - wanted

@@ -92,22 +92,25 @@ Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 
 
 def range_space_problem(
-    d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces
+    d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
-    """Set up the range-space equations A dl = c - G M^-1 f, starting from the free acceleration."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+    """Set up the range-space equations A dl = c - G a_f of the multipliers.
 
-    def factor(now: Context, rows: Sequence[Row]) -> Solve:
-        return factor_delassus(d, factors, now, rows).solve
+    A = G M^-1 G^T is the Delassus matrix, and a_f the free acceleration, from which they start.
+    """
+    qdd, factors = aba(d, context.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+
+    def factor(context: Context, rows: Sequence[Row]) -> Solve:
+        return factor_delassus(d, factors, context, rows).solve
 
     return LinearProblem(d.pack(qdd, tau), None, factor)
 
 
 def feedback_right_hand_side(
-    now: Context, rows: Sequence[Row], l: Any, alpha: Any, beta: Any
+    context: Context, rows: Sequence[Row], l: Any, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
     """Return -g'' - 2 alpha g' - beta^2 g of each row: the residual with Baumgarte feedback."""
-    del now, l
+    del context, l
     return [baumgarte_residual(row, alpha, beta) for row in rows]
 
 
@@ -143,12 +146,12 @@ def constrained_motion(
     def solve_with_factors(changed, q, v, tau):
         model, f_ext, t, alpha, beta = rebuilt(changed)
         d = driver(model, q.dtype)
-        now = Context.of(model, t, State(q, v), None, d=d)
-        start, force, factor = method(d, now, tau, f_ext)
-        now = now if start is None else now.accelerating(start)
-        rows = rows_of(model, now)
-        solve = factor(now, rows)
-        da, l = solve(force, right_hand_side(now, rows, None, alpha, beta))
+        context = Context.of(model, t, State(q, v), None, d=d)
+        start, force, factor = method(d, context, tau, f_ext)
+        context = context if start is None else context.accelerating(start)
+        rows = rows_of(model, context)
+        solve = factor(context, rows)
+        da, l = solve(force, right_hand_side(context, rows, None, alpha, beta))
         a = da if start is None else start + da
         return jnp.concatenate([a, l]), solve
 
@@ -163,12 +166,12 @@ def constrained_motion(
         model, f_ext, t, alpha, beta = rebuilt(changed)
         a, l = x[:nv], x[nv:]
         d = driver(model, q.dtype)
-        now = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
-        rows = rows_of(model, now)
-        joints = now.links.joints  # evaluated first, because the driver reads its lanes
+        context = Context.of(model, t, State(q, v), None, d=d).accelerating(a)
+        rows = rows_of(model, context)
+        joints = context.links.joints  # evaluated first, because the driver reads its lanes
         tau, f_ext = add_multipliers(d, rows, list(l), tau, f_ext)
         forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, f_ext)
-        remaining = pack(right_hand_side(now, rows, l, alpha, beta), a)
+        remaining = pack(right_hand_side(context, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), remaining])
 
     at = jax_arrays(given, state.q, state.v, tau)
@@ -177,7 +180,7 @@ def constrained_motion(
 
 
 def free_body_diagonal(d: Driver, row: Row) -> Lane:
-    """Return a row's diagonal entry of G M^-1 G^T if its links were free bodies with isotropic
+    """Return the diagonal entry of G M^-1 G^T of a row, for links that are free bodies of isotropic
     inertia. It is the sum of f^2 / m for forces f, and of n^2 / (tr J / 3) for torques n on links
     without a force. It does not vanish with the lever arm of a force."""
     out: Lane = 0.0
@@ -200,13 +203,13 @@ def _divide(load: Vec3, inertia: Lane) -> Lane:
 
 
 def factor_delassus(
-    d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None = None
+    d: Driver, factors: Any, context: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
     """Factor the Delassus matrix G M^-1 G^T, on lanes or, for many rows or a rolled tree, as an
     array. `damping` replaces eps and e of the regularization and sets one refinement; None uses the
     values of the dtype."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
-    return (DelassusOnLanes if few else DelassusMatrix)(d, factors, now, rows, damping)
+    return (DelassusOnLanes if few else DelassusMatrix)(d, factors, context, rows, damping)
 
 
 def eliminate_loads(
@@ -253,9 +256,9 @@ class Delassus:
     """Base class of the factored Delassus matrix G M^-1 G^T."""
 
     def __init__(
-        self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
+        self, d: Driver, factors: Any, context: Context, rows: Sequence[Row], damping: float | None
     ):
-        self._d, self._factors, self._like, self._damping = d, factors, now.v, damping
+        self._d, self._factors, self._like, self._damping = d, factors, context.v, damping
         self._free = [free_body_diagonal(d, row) for row in rows]
 
     def solve(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
@@ -268,9 +271,9 @@ class DelassusOnLanes(Delassus):
     """Delassus matrix on lanes, from the forces of rows at the joints that they share."""
 
     def __init__(
-        self, d: Driver, factors: Any, now: Context, rows: Sequence[Row], damping: float | None
+        self, d: Driver, factors: Any, context: Context, rows: Sequence[Row], damping: float | None
     ):
-        super().__init__(d, factors, now, rows, damping)
+        super().__init__(d, factors, context, rows, damping)
         links = dict(enumerate(d.whole(factors)))
         inward = sorted(links, reverse=True)
         parents = d.topology.parents
@@ -303,14 +306,14 @@ class DelassusMatrix(Delassus):
         self,
         d: Driver,
         factors: Any,
-        now: Context,
+        context: Context,
         rows: Sequence[Row],
         damping: float | None = None,
         R: jax.Array | None = None,
     ):
-        super().__init__(d, factors, now, rows, damping)
-        self._R, self.free_diagonal = R, pack(self._free, now.v)
-        self.G = gradient_matrix(now, rows)
+        super().__init__(d, factors, context, rows, damping)
+        self._R, self.free_diagonal = R, pack(self._free, context.v)
+        self.G = gradient_matrix(context, rows)
         self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
     @cached_property

@@ -22,11 +22,11 @@ from rbjax.model import Model, State
 from rbjax.spatial import Force
 
 
-def rows_of(model: Model, now: Context) -> list[Row]:
+def rows_of(model: Model, context: Context) -> list[Row]:
     """Return the rows of all constraints of the model, in the order of the constraints."""
     out: list[Row] = []
     for constraint in model.constraints:
-        rows = list(constraint.rows(now))
+        rows = list(constraint.rows(context))
         if len(rows) != constraint.size:
             raise InputError(
                 f"{type(constraint).__name__}.rows returned {len(rows)} rows, expected its size, "
@@ -38,13 +38,13 @@ def rows_of(model: Model, now: Context) -> list[Row]:
                     f"{type(constraint).__name__}.rows returned a {type(row).__name__} among its "
                     "rows, expected a Row: rbjax.constraints.coordinate and others make them"
                 )
-        out += [_compute_once(row, now) for row in rows]
+        out += [_compute_once(row, context) for row in rows]
     return out
 
 
-def _compute_once(row: Row, now: Context) -> Row:
-    """Put the lanes of a row behind a fusion barrier, so that XLA computes them only once."""
-    known = (now.q, now.v, now.a, now.t)
+def _compute_once(row: Row, context: Context) -> Row:
+    """Put the lanes of a row behind a fusion barrier, to compute them only once under XLA."""
+    known = (context.q, context.v, context.a, context.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
     return Row(value, rate, Loads(tau, wrenches, row.gradient.internal), acceleration)
@@ -57,22 +57,22 @@ def wrenches_by_link(loads: Loads) -> Mapping[int, Force]:
     return loads.wrenches
 
 
-def gradient_by_dof(now: Context, row: Row) -> dict[int, Lane]:
+def gradient_by_dof(context: Context, row: Row) -> dict[int, Lane]:
     """Compute the nonzero entries of a row's gradient by dof index."""
     out = dict(row.gradient.tau)
     for link, force in wrenches_by_link(row.gradient).items():
-        for i, x in now.link(link).arms(force).items():
+        for i, x in context.link(link).arms(force).items():
             out[i] = add(out.get(i, 0.0), x)
     return out
 
 
-def gradient_matrix(now: Context, rows: Sequence[Row]) -> jax.Array:
+def gradient_matrix(context: Context, rows: Sequence[Row]) -> jax.Array:
     """Compute the gradient G (rows, nv) of the given rows."""
-    out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
+    out = jnp.zeros((len(rows), context.model.nv), context.q.dtype)
     for r, row in enumerate(rows):
-        found = {i: x for i, x in gradient_by_dof(now, row).items() if not is_zero(x)}
+        found = {i: x for i, x in gradient_by_dof(context, row).items() if not is_zero(x)}
         if found:
-            out = out.at[r, np.array(list(found))].set(pack(list(found.values()), now.v))
+            out = out.at[r, np.array(list(found))].set(pack(list(found.values()), context.v))
     return out
 
 
@@ -130,5 +130,5 @@ def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
         q: (nq,) configuration.
         t: time in seconds, for rows that depend on time.
     """
-    now = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
-    return gradient_matrix(now, rows_of(model, now))
+    context = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
+    return gradient_matrix(context, rows_of(model, context))

@@ -107,24 +107,24 @@ def least_change(
         return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
     def at_start(changed, q, v, x, l):
-        """Return the driver, the context and the rows at q, and G^T l - W x."""
+        """Compute driver, context and constraint rows at q, and the residual G^T l - W x."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
-        now = Context.of(model, t0, State(q, v), None, d=d)
-        rows = rows_of(model, now)
+        context = Context.of(model, t0, State(q, v), None, d=d)
+        rows = rows_of(model, context)
         tau, f_ext = add_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
         a = jnp.zeros_like(x) if dependent else x
         force = tau - d.pack(rnea(d, d.joints(q, None), d.lanes(a), Vec3.zero(), f_ext), tau)
         if dependent:
-            force = force * _dependent(gradient_matrix(now, rows)) - x
-        return d, now, rows, force
+            force = force * _dependent(gradient_matrix(context, rows)) - x
+        return d, context, rows, force
 
     def of_positions(changed, q, u, v, x):
         model, _, t = rebuilt(changed)
         dq = x[:nv]
-        d, now, rows, force = at_start(changed, q, v, dq, x[nv:])
+        d, context, rows, force = at_start(changed, q, v, dq, x[nv:])
         value, _ = residuals_at(d, model, t, q, u + dq, v)
-        return _join(force, -position_residuals(now, rows, value, dq))
+        return _join(force, -position_residuals(context, rows, value, dq))
 
     def of_velocities(changed, q, u, v, x, y):
         model, _, t = rebuilt(changed)
@@ -142,8 +142,8 @@ def residuals_at(
     d: Driver, model: Model, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the residuals g and G v + g_t (rows,) at the configuration q (+) u."""
-    now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
-    return residuals_of(rows_of(model, now), v)
+    context = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
+    return residuals_of(rows_of(model, context), v)
 
 
 def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -152,13 +152,14 @@ def residuals_of(rows: Sequence[Row], like: jax.Array) -> tuple[jax.Array, jax.A
 
 
 def position_residuals(
-    now: Context, rows: Sequence[Row], value: jax.Array, dq: jax.Array
+    context: Context, rows: Sequence[Row], value: jax.Array, dq: jax.Array
 ) -> jax.Array:
-    """Return g of holonomic rows and G dq of non-holonomic rows, with G at `now`."""
+    """Return the residual g of holonomic rows, and G dq of non-holonomic rows with the gradient at
+    `context`."""
     rates = np.array([r for r, row in enumerate(rows) if not row.holonomic], int)
     if not rates.size:
         return value
-    G = gradient_matrix(now, [rows[r] for r in rates])
+    G = gradient_matrix(context, [rows[r] for r in rates])
     return value.at[rates].set(matvec(G, dq))
 
 
@@ -191,10 +192,10 @@ def project_state(
 def _project(
     d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, many: int, positions: bool
 ) -> Changes:
-    now = Context.of(model, t, State(q, v), None, d=d)
-    rows = rows_of(model, now)
+    context = Context.of(model, t, State(q, v), None, d=d)
+    rows = rows_of(model, context)
     damping = rank_tolerance("projection", q.dtype)
-    delassus = factor_delassus(d, factorize(d, now.links.joints), now, rows, damping)
+    delassus = factor_delassus(d, factorize(d, context.links.joints), context, rows, damping)
 
     def iterate(f: Residual, first: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
         """Solve M x = force + G^T l and f(x) = 0 from x = 0, with f(0) = first."""
@@ -211,7 +212,7 @@ def _project(
         return lambda force, c: iterate(lambda dx: residual(dx, c), -c, force)
 
     def value(dq: jax.Array) -> jax.Array:
-        return position_residuals(now, rows, residuals_at(d, model, t, q, dq, v)[0], dq)
+        return position_residuals(context, rows, residuals_at(d, model, t, q, dq, v)[0], dq)
 
     def rate(dv: jax.Array) -> jax.Array:
         return residuals_at(d, model, t, q, dq, v + dv)[1]
@@ -294,8 +295,8 @@ def _newton(
     dependent: bool,
 ) -> Changes:  # fmt: skip
     def rows_at(t: Any, u: jax.Array, v: jax.Array) -> tuple[Context, list[Row]]:
-        now = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
-        return now, rows_of(model, now)
+        context = Context.of(model, t, State(retract(model, q, u), v), None, d=d)
+        return context, rows_of(model, context)
 
     first, rows = rows_at(t0, jnp.zeros_like(u), v)
     if dependent:
@@ -311,7 +312,10 @@ def _newton(
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def correction(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Solve G x = c, x = W^-1 G_0^T l for x and l, of least norm if rows are redundant."""
+        """Solve G x = c with x = W^-1 G_0^T l for the correction x and the multipliers l.
+
+        G_0 is the gradient at the start, and W the weight. If rows are redundant, l has least norm.
+        """
         J = r[:, None] * matmat(G, Y) * r
         l = r * matvec(J.T, solve_least_norm(matmat(J, J.T), r * c, 1.0))
         return matvec(Y, l), l
@@ -326,9 +330,9 @@ def _newton(
         return jnp.where(holonomic[:, None], rotated(G), G_0)
 
     def improve_positions(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        now, there = rows_at(t, u + x[0], v)
+        context, there = rows_at(t, u + x[0], v)
         residual = position_residuals(first, rows, residuals_of(there, v)[0], x[0])
-        more = correction(by_du(gradient_matrix(now, there), x[0]), -residual)
+        more = correction(by_du(gradient_matrix(context, there), x[0]), -residual)
         return x[0] + more[0], x[1] + more[1]
 
     du, l = jnp.zeros_like(u), jnp.zeros(len(rows), u.dtype)

@@ -60,13 +60,15 @@ class Dense(Method):
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method=self._method)[0]
 
-    def _method(self, d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
-        joints, gravity = now.links.joints, d.prepared.gravity
+    def _method(
+        self, d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
+    ) -> LinearProblem:
+        joints, gravity = context.links.joints, d.prepared.gravity
         M = crba(d, joints, tau)
         force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
 
-        def factor(now: Context, rows: Sequence[Row]) -> Solve:
-            G = gradient_matrix(now, rows)
+        def factor(context: Context, rows: Sequence[Row]) -> Solve:
+            G = gradient_matrix(context, rows)
             free_diagonal = pack([free_body_diagonal(d, row) for row in rows], tau)
 
             def solve(force: jax.Array | None, c: Sequence[Lane]) -> Solution:

@@ -70,7 +70,8 @@ class DifferentialAlgebraic(Method):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """Method whose linearized equations damp an error estimate (`damp_error`)."""
+        """The method whose linearised equations damp the error estimate (`damp_error`): this
+        method."""
         return self
 
     def algebraic(
@@ -79,14 +80,13 @@ class DifferentialAlgebraic(Method):
         """Describe the algebraic equations of a model.
 
         Returns:
-            The number of integrations from acceleration for each equation, the `free_body_diagonal`
-                of
-            each equation, and the number of GGL rows.
+            The number of integrations from acceleration to each residual, the `free_body_diagonal`
+            (m,) of the equations, and the number of GGL rows.
         """
         d = driver(model, state.q.dtype)
-        now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # evaluated first, because the driver reads its lanes
-        rows = rows_of(model, now)
+        context = Context.of(model, t, state, None, d=d)
+        _ = context.links.joints  # evaluated first, because the driver reads its lanes
+        rows = rows_of(model, context)
         ggl = self.position_rows(rows)
         free_diagonal = [free_body_diagonal(d, row) for row in (*rows, *ggl)]
         depth = (*(self.level_of(row)[1] for row in rows), *[1] * len(ggl))
@@ -103,11 +103,11 @@ class DifferentialAlgebraic(Method):
             at = State(retract(model, q, u), v, x if model.nx else None)
             tau, f_ext, x_rate = forces(t, at)
             d = driver(model, dtype)
-            now = Context.of(model, t, at, None, d=d)
-            rows = rows_of(model, now)
+            context = Context.of(model, t, at, None, d=d)
+            rows = rows_of(model, context)
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
             tau, f_ext = add_multipliers(d, rows, l, tau, f_ext)
-            needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
+            needed = rnea(d, context.links.joints, d.lanes(a), d.prepared.gravity, f_ext)
             drift = du - increment_rate(model, u, v)
             values = self.position_rows(rows)
             if values:
@@ -124,7 +124,10 @@ class DifferentialAlgebraic(Method):
 def _with_ggl_forces(
     d: Driver, q: jax.Array, x: jax.Array, rows: Sequence[Row], mu: Sequence[Lane]
 ) -> jax.Array:
-    """Return M x - G^T mu, the residual of the kinematic equation of GGL."""
+    """Return M x - G^T mu, the residual of the kinematic equation of GGL.
+
+    x is the difference of rate and velocity, and mu the multipliers of `rows`.
+    """
     tau, f_ext = add_multipliers(d, rows, mu, jnp.zeros_like(x), {})
     return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext), x) - tau
 
@@ -174,7 +177,10 @@ class Index3(DifferentialAlgebraic):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """GGL, because at index 3 velocity errors across constraints persist for short steps."""
+        """The method whose linearised equations damp the error estimate: GGL.
+
+        At index 3 velocity errors across the constraints persist for short steps.
+        """
         return GGL()
 
 

@@ -110,9 +110,9 @@ class Penalty(Method):
 
     def __call__(self, model, t, state, tau, f_ext, alpha=0.0, beta=0.0):
         d = driver(model, state.q.dtype)
-        now = Context.of(model, t, state, None, d=d)
-        _ = now.links.joints  # evaluated first, because the driver reads its lanes
-        rows = rows_of(model, now)
+        context = Context.of(model, t, state, None, d=d)
+        _ = context.links.joints  # evaluated first, because the driver reads its lanes
+        rows = rows_of(model, context)
         k, c = self.stiffness, self.damping
         l = [neg(add(mul(k, row.residual), mul(c, row.rate))) for row in rows]
         tau, f_ext = add_multipliers(d, rows, l, tau, f_ext)

@@ -133,22 +133,26 @@ class Recursive(Method):
         ]
 
 
-def cluster_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+def cluster_problem(
+    d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
+) -> LinearProblem:
     """Set up the equations by clusters, or by `range_space_problem` if the tree is not unrolled."""
     if not d.listed:
-        return range_space_problem(d, now, tau, f_ext)
-    joints, gravity = now.links.joints, d.prepared.gravity
+        return range_space_problem(d, context, tau, f_ext)
+    joints, gravity = context.links.joints, d.prepared.gravity
 
-    def factor(now: Context, rows: Sequence[Row]) -> Solve:
+    def factor(context: Context, rows: Sequence[Row]) -> Solve:
         found = find_clusters(d.topology, rows)
         if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
-            delassus = factor_delassus(d, factorize(d, joints), now, rows)
+            delassus = factor_delassus(d, factorize(d, joints), context, rows)
             force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: delassus.solve(force if f is None else f, c)
         moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
-        tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
-        own = {i: -f for i, (_, f) in enumerate(moved)}
-        return lambda f, c: tree.solve(tau, own, c) if f is None else tree.solve(f, {}, c)
+        tree = ClusterTree(d, joints, [X for X, *_ in moved], rows, found, tau)
+        own = {i: -f for i, (_, f, _) in enumerate(moved)}
+        modes = [mode for *_, mode in moved]
+        left = tau if all(map(is_zero, modes)) else tau - pack(modes, tau)
+        return lambda f, c: tree.solve(left, own, c) if f is None else tree.solve(f, {}, c)
 
     return LinearProblem(None, None, factor)
 
@@ -195,11 +199,11 @@ class ClusterTree:
         for i in reversed(range(len(joints))):
             link, joint, X = constants[i], joints[i], poses[i]
             I_children = self._with_clusters(i, carried.pop(i, ArticulatedInertia.zero()))
-            I_A = link.inertia.articulated() + I_children
-            I_a, factor = eliminate(link, joint.S, X, I_A)
+            I_A = joint.inertia(link).articulated() + I_children
+            I_a, factor = eliminate(link, joint, X, I_A)
             message, parent = None, self._parents[i]
             if parent != WORLD:
-                mass = rigid_mass(link, joint.S, I_children)
+                mass = rigid_mass(link, joint, I_children)
                 message = to_parent(X, I_a, factor, mass)
             known = (link, joint, X, I_children)
             message, self._factors[i] = fusion_barrier((message, factor), known=known)
@@ -250,7 +254,7 @@ class ClusterTree:
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """Return the force on a link, including the forces of its clusters."""
+            """Return the force on a link, including the forces of clusters whose parent it is."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))

@@ -4,14 +4,9 @@
     g'' + R f = -b g' - d k g     of soft rows,      R = (1 - d) / d w
     g'' = 0                       of rigid rows,     R = 0
 so (A + R) f = (right-hand side) - g''(a_0). f is the force on a row, w its inverse inertia, and d
-its impedance, from 0 to 1, a function of the residual r = |g| of the constraint:
-
-    d(r) = d_0 + (d_w - d_0) y(r / width),   y(x) = x^p / m^(p-1)                  if x <= m
-                                             y(x) = 1 - (1 - x)^p / (1 - m)^(p-1)  if m < x < 1
-                                             y(x) = 1                              if x >= 1
-If the width is zero, d is the mean of d_0 and d_w. solref = (time constant T, damping ratio z)
-gives k = 1 / (d_w T z)^2, b = 2 / (d_w T). solref = (-stiffness, -damping), both not positive,
-gives k = stiffness / d_w^2, b = damping / d_w. The distance to the rigid motion decreases as T^2.
+its impedance, from 0 to 1, a function of the residual |g| of the constraint. k, b and d follow from
+solref and solimp (`rbjax.forces.impedance`). The distance to the rigid motion decreases as T^2,
+with the time constant T.
 
 MuJoCo 4 includes G' v in connects and welds, but not in couplings of joints; MJX neglects it.
 
@@ -45,17 +40,12 @@ from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
+from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, sub
 from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
 from rbjax.model.record import check_fields, floats
-
-#: MuJoCo's limits of impedances and of the midpoint m
-IMPEDANCES = 1e-4, 0.9999
-#: a width up to this counts as zero
-LEAST = 1e-15
-SOLREF = (0.02, 1.0)
-SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 
 class Soft(Constraint):
@@ -132,42 +122,22 @@ class Soft(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return self.of.rows(now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        return self.of.rows(context)
 
     def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
         """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g."""
-        low, high, width, middle, power = self.solimp.astype(dtype)
-        low, high, middle = (jnp.clip(x, *IMPEDANCES) for x in (low, high, middle))
+        solref, solimp, weight = (x.astype(dtype) for x in (self.solref, self.solimp, self.weight))
         g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
         rate = jnp.stack([jnp.asarray(row.rate, dtype) for row in rows])
-        d = impedance(_norm(g), low, high, width, middle, jnp.maximum(power, 1.0))
-        k, b = stiffness_and_damping(self.solref.astype(dtype), high)
-        right_hand_side = -b * rate - d * k * g
-        R = (1 - d) / d * self.weight.astype(dtype)
-        return list(R), list(right_hand_side)
+        d = impedance(_norm(g), solimp)
+        right_hand_side = reference(g, rate, d, solref, solimp, 0.0, refsafe=False)
+        return list(regularisation(d, weight)), list(right_hand_side)
 
 
 def is_soft(model: Model) -> bool:
     """Return whether a model has a `Soft` constraint."""
     return any(isinstance(x, Soft) for x in model.constraints)
-
-
-def stiffness_and_damping(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return MuJoCo's stiffness k, 1/s^2, and damping b, 1/s, from solref and d_w (`high`)."""
-    direct = solref[0] <= 0
-    time, ratio = jnp.where(direct, 1.0, solref)
-    k = jnp.where(direct, -solref[0], 1 / (time * ratio) ** 2) / high**2
-    return k, jnp.where(direct, -solref[1], 2 / time) / high
-
-
-def impedance(r: jax.Array, low: Any, high: Any, width: Any, middle: Any, power: Any) -> jax.Array:
-    """Return MuJoCo's impedance d, from 0 to 1, at a residual r; the other arguments are solimp."""
-    x = jnp.minimum(r / jnp.maximum(width, LEAST), 1.0)
-    inner = x**power / middle ** (power - 1)
-    outer = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
-    y = jnp.where(x <= middle, inner, outer)
-    return low + (high - low) * jnp.where(width > LEAST, y, 0.5)
 
 
 def _norm(g: jax.Array) -> jax.Array:
@@ -177,16 +147,16 @@ def _norm(g: jax.Array) -> jax.Array:
 
 
 def regularizer_and_residual(
-    now: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
+    context: Context, rows: Sequence[Row], alpha: Any = 0.0, beta: Any = 0.0
 ) -> tuple[jax.Array, jax.Array]:
     """Compute R (rows,) and the residual of the rows' equations at f = 0. R is zero for rigid rows.
     The residual (rows,) is at the accelerations of the context, with Baumgarte's feedback of rigid
     rows."""
     R: list[Any] = []
     residual: list[Any] = []
-    a = now.a
-    without_bias = matvec(gradient_matrix(now, rows), a)
-    for constraint in now.model.constraints:
+    a = context.a
+    without_bias = matvec(gradient_matrix(context, rows), a)
+    for constraint in context.model.constraints:
         at = slice(len(R), len(R) + constraint.size)
         if isinstance(constraint, Soft):
             own, right = constraint.soft_terms(rows[at], a.dtype)
@@ -232,20 +202,20 @@ def compliant_motion(
     return constrained_motion(model, t, state, tau, f_ext, alpha, beta, method, residual)
 
 
-def soft_problem(d: Driver, now: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
+def soft_problem(d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces) -> LinearProblem:
     """Set up the equations (G M^-1 G^T + R) df = residual, starting from the free acceleration."""
-    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
+    qdd, factors = aba(d, context.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
-    def factor(now: Context, rows: Sequence[Row]) -> Solve:
-        R, _ = regularizer_and_residual(now, rows)
-        return DelassusMatrix(d, factors, now, rows, R=R).solve
+    def factor(context: Context, rows: Sequence[Row]) -> Solve:
+        R, _ = regularizer_and_residual(context, rows)
+        return DelassusMatrix(d, factors, context, rows, R=R).solve
 
     return LinearProblem(d.pack(qdd, tau), None, factor)
 
 
 def soft_right_hand_side(
-    now: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
+    context: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
     """Return the residual of the rows' equations at forces f, or at zero forces if f is None."""
-    R, residual = regularizer_and_residual(now, rows, alpha, beta)
+    R, residual = regularizer_and_residual(context, rows, alpha, beta)
     return list(residual if f is None else residual - R * f)

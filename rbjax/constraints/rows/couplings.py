@@ -27,7 +27,8 @@ from rbjax.model.record import check_fields, check_number, floats
 
 
 class JointPolynomial(Constraint):
-    """A coupling q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's mimic.
+    """A coupling of two joints, q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's
+    mimic.
 
     Fields:
         joint: static, name or index of joint 1, which has one coordinate.
@@ -54,14 +55,14 @@ class JointPolynomial(Constraint):
                 "expected (n,) with n at least 1, c_0 first"
             )
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        c = numbers(self.coefficients, now.q.dtype)
+    def rows(self, context: Context) -> Sequence[Row]:
+        c = numbers(self.coefficients, context.q.dtype)
         if self.driver is None:
-            return [from_reference(now, self.joint) - c[0]]
-        x, out = from_reference(now, self.driver), Row.constant(c[-1])
+            return [from_reference(context, self.joint) - c[0]]
+        x, out = from_reference(context, self.driver), Row.constant(c[-1])
         for each in reversed(c[:-1]):
             out = out * x + each
-        return [from_reference(now, self.joint) - out]
+        return [from_reference(context, self.joint) - out]
 
 
 class Gear(Constraint):
@@ -80,8 +81,8 @@ class Gear(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "ratio")
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return [_proportional(now, (self.joint, "hinge"), self.driver, self.ratio)]
+    def rows(self, context: Context) -> Sequence[Row]:
+        return [_proportional(context, (self.joint, "hinge"), self.driver, self.ratio)]
 
 
 class Rack(Constraint):
@@ -101,8 +102,8 @@ class Rack(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "radius")
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return [_proportional(now, (self.joint, "slide"), self.driver, self.radius)]
+    def rows(self, context: Context) -> Sequence[Row]:
+        return [_proportional(context, (self.joint, "slide"), self.driver, self.radius)]
 
 
 class Prescribed(Constraint):
@@ -127,31 +128,37 @@ class Prescribed(Constraint):
         check_function("Prescribed(function=...)", self.function)
         check_takes("Prescribed", "function", self.function, "t")
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        _check_kind(now, self.joint, None)
+    def rows(self, context: Context) -> Sequence[Row]:
+        _check_kind(context, self.joint, None)
 
         def f(t: Any) -> Any:
-            return evaluate("Prescribed: function", self.function, None, (t,), (), now.q.dtype)
+            return evaluate("Prescribed: function", self.function, None, (t,), (), context.q.dtype)
 
-        return [coordinate(now, self.joint) - time(now).apply(f)]
-
-
-def _proportional(now: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
-    """Build the row q1 - r1 - factor (q2 - r2). `joint`: (name, kind) of joint 1; 2 is a hinge."""
-    driven = from_reference(now, driver, "hinge")
-    return from_reference(now, *joint) - driven * scalar(factor, now.q.dtype)
+        return [coordinate(context, self.joint) - time(context).apply(f)]
 
 
-def from_reference(now: Context, joint: str | int, kind: str | None = None) -> Row:
-    """Build the row q - r of a joint of one coordinate. Raise InputError if its kind differs."""
-    _check_kind(now, joint, kind)
-    start = now.model.topology.joint_q[now.model.joint(joint)]
-    reference = lane(table(now.model.joints.reference, now.q.dtype), start)
-    return coordinate(now, joint) - reference
+def _proportional(context: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
+    """Build the row q1 - r1 - factor (q2 - r2), with r the reference of a coordinate.
+
+    joint: (name, kind) of joint 1. driver: joint 2, a hinge.
+    """
+    driven = from_reference(context, driver, "hinge")
+    return from_reference(context, *joint) - driven * scalar(factor, context.q.dtype)
 
 
-def _check_kind(now: Context, joint: str | int, kind: str | None) -> None:
-    found = now.joint(joint)
+def from_reference(context: Context, joint: str | int, kind: str | None = None) -> Row:
+    """Build the row q - r, with r the reference of a joint of one coordinate.
+
+    Raise InputError if the kind of the joint is not `kind`.
+    """
+    _check_kind(context, joint, kind)
+    start = context.model.topology.joint_q[context.model.joint(joint)]
+    reference = lane(table(context.model.joints.reference, context.q.dtype), start)
+    return coordinate(context, joint) - reference
+
+
+def _check_kind(context: Context, joint: str | int, kind: str | None) -> None:
+    found = context.joint(joint)
     if len(found.q) != 1 or kind not in (None, found.kind):
         raise InputError(
             f"a coupling has joint {joint!r}, a {found.kind}, expected a "

@@ -29,16 +29,16 @@ from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.model.record import check_fields, floats
 
 #: iterations of Newton's method from the nearest of the points `starts`
 NEWTON_STEPS = 8
 
 
-def _position(a: Place, b: Place, now: Context) -> list[Row]:
+def _position(a: Place, b: Place, context: Context) -> list[Row]:
     """Build the three rows of the origin of b in a's axes."""
-    A, B = a.frame(now), b.frame(now)
+    A, B = a.frame(context), b.frame(context)
     return [along(A, u, B) for u in AXES]
 
 
@@ -63,8 +63,8 @@ class PointOnSurface(Constraint):
         1
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     f: Callable = eqx.field(static=True)
     numbers: Any = eqx.field(converter=arrays, default=None)
     size = 1
@@ -73,11 +73,11 @@ class PointOnSurface(Constraint):
         check_places(self)
         check_functions(self, "f")
 
-    def rows(self, now: Context) -> Sequence[Row]:
+    def rows(self, context: Context) -> Sequence[Row]:
         def height(x: jax.Array) -> jax.Array:
             return evaluate("PointOnSurface: f", self.f, self.numbers, (x,), (), x.dtype)[None]
 
-        return function_of(_position(self.a, self.b, now), height, now.q.dtype)
+        return function_of(_position(self.a, self.b, context), height, context.q.dtype)
 
 
 class PointOnCurve(Constraint):
@@ -101,8 +101,8 @@ class PointOnCurve(Constraint):
         1.571
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     c: Callable = eqx.field(static=True)
     starts: jax.Array = eqx.field(converter=floats)
     numbers: Any = eqx.field(converter=arrays, default=None)
@@ -126,12 +126,12 @@ class PointOnCurve(Constraint):
         """Return the parameter () of the curve's point nearest to x (3,). It is differentiable."""
         return _nearest(self.c)(x, self.numbers, self.starts.astype(x.dtype))
 
-    def rows(self, now: Context) -> Sequence[Row]:
+    def rows(self, context: Context) -> Sequence[Row]:
         def components(x: jax.Array) -> jax.Array:
             c, dc = _with_slope(self.point, self.nearest(x))
             return jnp.stack([_inner(n, x - c) for n in _normals(dc)])
 
-        return function_of(_position(self.a, self.b, now), components, now.q.dtype)
+        return function_of(_position(self.a, self.b, context), components, context.q.dtype)
 
 
 def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
@@ -158,7 +158,7 @@ def _nearest(c: Callable) -> Callable:
     """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return F(x, s) and |c'|^2."""
+        """Return F(x, s), whose root is the nearest parameter s, and |c'(s)|^2 of the curve."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 

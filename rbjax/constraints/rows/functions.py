@@ -89,14 +89,14 @@ def evaluate(
     return jnp.asarray(out, dtype)
 
 
-def _on_path(now: Context, s: jax.Array, dq: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _on_path(context: Context, s: jax.Array, dq: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the time t + s and the configuration q (+) dq."""
-    q = jnp.stack(integrate_lanes(now.model.topology, list(now.q), list(dq)))
-    return jnp.asarray(now.t, now.q.dtype) + s, q
+    q = jnp.stack(integrate_lanes(context.model.topology, list(context.q), list(dq)))
+    return jnp.asarray(context.t, context.q.dtype) + s, q
 
 
-def _acceleration(now: Context) -> jax.Array:
-    return jnp.zeros_like(now.v) if now.a is None else now.a
+def _acceleration(context: Context) -> jax.Array:
+    return jnp.zeros_like(context.v) if context.a is None else context.a
 
 
 def _loads(gradient: jax.Array) -> Loads:
@@ -133,17 +133,17 @@ class Holonomic(Constraint):
         check_takes("Holonomic", "f", self.f, "t", "q", *numbers)
         integer("Holonomic", "size", self.size, least=1)
 
-    def _residual(self, now: Context, dq: jax.Array, s: jax.Array) -> jax.Array:
-        at = _on_path(now, s, dq)
-        return evaluate("Holonomic: f", self.f, self.numbers, at, (self.size,), now.q.dtype)
+    def _residual(self, context: Context, dq: jax.Array, s: jax.Array) -> jax.Array:
+        at = _on_path(context, s, dq)
+        return evaluate("Holonomic: f", self.f, self.numbers, at, (self.size,), context.q.dtype)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        v, a, zero = now.v, _acceleration(now), jnp.zeros((), now.q.dtype)
+    def rows(self, context: Context) -> Sequence[Row]:
+        v, a, zero = context.v, _acceleration(context), jnp.zeros((), context.q.dtype)
         value, first, second = derivatives(
-            lambda s: self._residual(now, s * v + (s * s / 2) * a, s), zero
+            lambda s: self._residual(context, s * v + (s * s / 2) * a, s), zero
         )
-        _, pull = jax.vjp(lambda dq: self._residual(now, dq, zero), jnp.zeros_like(v))
-        (G,) = jax.vmap(pull)(jnp.eye(self.size, dtype=now.q.dtype))
+        _, pull = jax.vjp(lambda dq: self._residual(context, dq, zero), jnp.zeros_like(v))
+        (G,) = jax.vmap(pull)(jnp.eye(self.size, dtype=context.q.dtype))
         return [Row(value[r], first[r], _loads(G[r]), second[r]) for r in range(self.size)]
 
 
@@ -176,12 +176,12 @@ class Pfaffian(Constraint):
         check_functions(self, "A", *(() if self.b is None else ("b",)))
         integer("Pfaffian", "size", self.size, least=1)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        v, a, dtype = now.v, _acceleration(now), now.q.dtype
-        shape = self.size, now.model.nv
+    def rows(self, context: Context) -> Sequence[Row]:
+        v, a, dtype = context.v, _acceleration(context), context.q.dtype
+        shape = self.size, context.model.nv
 
         def rate(s: jax.Array) -> tuple:
-            at = _on_path(now, s, s * v + (s * s / 2) * a)
+            at = _on_path(context, s, s * v + (s * s / 2) * a)
             A = evaluate("Pfaffian: A", self.A, self.numbers, at, shape, dtype)
             y = (A * (v + s * a)).sum(1)  # no `dot`, which rounds to TF32 on a GPU
             if self.b is not None:

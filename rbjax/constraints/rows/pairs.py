@@ -22,6 +22,7 @@ import numpy as np
 
 from rbjax.constraints.rows.geometry import (
     AXES,
+    End,
     X,
     Y,
     Z,
@@ -29,6 +30,7 @@ from rbjax.constraints.rows.geometry import (
     cosine,
     displacement,
     distance,
+    origin,
     places,
     turn,
 )
@@ -36,7 +38,8 @@ from rbjax.constraints.rows.row import Constraint, Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
+from rbjax.model import Frame as FixedFrame
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
@@ -49,16 +52,19 @@ NEAR = 1e-5
 class Pair(Constraint):
     """Base class of joints between two frames that close a kinematic loop.
 
+    Origin and axes of the frame on body a are p_a, x_a and z_a, of the frame on b p_b, x_b, z_b.
+
     Fields:
-        a, b: `Place`s on the two bodies.
+        a, b: frames on the two bodies: `Place`s, or `rb.Frame`s, whose z axis is that of the body
+            or site.
 
     Class fields:
         primitives: functions (A, B) -> rows of two frames. The joint has the rows of all of them.
         turns: slice of the rows that are the sine of an angle (`turn`), or None.
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     primitives: ClassVar[Sequence[Primitive]] = ()
     turns: ClassVar[slice | None] = None
 
@@ -69,10 +75,10 @@ class Pair(Constraint):
     def between(
         cls,
         model: Model,
-        a: str | int | None,
-        b: str | int | None,
+        a: End,
+        b: End,
         *,
-        point: Any = (0.0, 0.0, 0.0),
+        point: Any = None,
         axis: Any = (0.0, 0.0, 1.0),
         q: jax.Array | None = None,
         **numbers: Any,
@@ -81,8 +87,9 @@ class Pair(Constraint):
 
         Args:
             model: the robot.
-            a, b: names or indices of bodies; None is the world.
-            point: (3,) m in world axes.
+            a, b: names or indices of bodies, or `rb.Frame`s; None is the world.
+            point: (3,) m in world axes. None: the origin of a if it is an `rb.Frame`, else the
+                origin of the world.
             axis: (3,) direction of the joint's axis in world axes, of any length.
             q: (nq,) configuration; None for the model's default state.
             numbers: the other fields of the joint.
@@ -96,10 +103,10 @@ class Pair(Constraint):
                 f"{cls.__name__}.between: got the numbers {sorted(numbers)}, expected {fields}"
             ) from error
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        return self.between_frames(self.a.frame(now), self.b.frame(now), now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        return self.between_frames(self.a.frame(context), self.b.frame(context), context)
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
         """Build the rows of the joint between two frames."""
         return [row for primitive in self.primitives for row in primitive(A, B)]
 
@@ -120,9 +127,9 @@ class HalfAngle(Constraint):
     def size(self) -> int:
         return self.of.size
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.of.a.frame(now), self.of.b.frame(now)
-        rows = list(self.of.between_frames(A, B, now))
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.of.a.frame(context), self.of.b.frame(context)
+        rows = list(self.of.between_frames(A, B, context))
         # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
         scale = trace(A, B).apply(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
         turns = range(*self.of.turns.indices(len(rows))) if self.of.turns else ()
@@ -130,28 +137,28 @@ class HalfAngle(Constraint):
 
 
 def trace(A: Frame, B: Frame) -> Row:
-    """Return the row of the trace 1 + 2 cos(x) of the rotation between two frames."""
+    """Return the row of the trace of the relative rotation: 1 + 2 cos(x) for the angle x."""
     x, y, z = (cosine(A, e, B, e) for e in AXES)
     return x + y + z
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of z_b parallel to z_a."""
+    """Return two rows that are zero if the z axes of two frames are parallel."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
 def orthogonal(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of z_b orthogonal to x_a."""
+    """Return the row that is zero if the z axis of B is orthogonal to the x axis of A."""
     return [cosine(A, X, B, Z)]
 
 
 def on_axis(A: Frame, B: Frame) -> list[Row]:
-    """Return the two rows of p_b on the axis z_a."""
+    """Return two rows that are zero if the origin of B is on the z axis of A."""
     return [along(A, X, B), along(A, Y, B)]
 
 
 def in_plane(A: Frame, B: Frame) -> list[Row]:
-    """Return the row of p_b in the plane through p_a that is orthogonal to z_a."""
+    """Return the row that is zero if the origin of B is in the x-y plane of A."""
     return [along(A, Z, B)]
 
 
@@ -203,8 +210,8 @@ class Screw(Pair):
                 "without a pitch the joint is a Revolute"
             )
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        lead = scalar(self.pitch, context.q.dtype) / (2 * math.pi)
         angle_ = along(A, Z, B) * (1.0 / lead)
         sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
         s, c = angle_.apply(jnp.sin), angle_.apply(jnp.cos)
@@ -287,10 +294,10 @@ class Distance(Pair):
     def between(  # type: ignore[override]
         cls,
         model: Model,
-        a: str | int | None,
-        b: str | int | None,
+        a: End,
+        b: End,
         *,
-        point: Any = (0.0, 0.0, 0.0),
+        point: Any = None,
         other: Any = None,
         length: Any = None,
         q: jax.Array | None = None,
@@ -299,19 +306,23 @@ class Distance(Pair):
 
         Args:
             model: the robot.
-            a, b: names or indices of bodies; None is the world.
-            point: (3,) end of the rod on a, m in world axes.
-            other: (3,) end of the rod on b, m in world axes.
+            a, b: names or indices of bodies, or `rb.Frame`s; None is the world.
+            point: (3,) end of the rod on a, m in world axes. None: the origin of a if it is an
+                `rb.Frame`, else the origin of the world.
+            other: (3,) end of the rod on b, m in world axes. None: the origin of the `rb.Frame` b.
             length: m; None for the distance of the two points.
             q: (nq,) configuration; None for the model's default state.
 
         Raises:
             InputError: `other` is missing or equal to `point`.
         """
+        point = origin(model, a, q) if point is None else point
+        if other is None and isinstance(b, FixedFrame):
+            other = origin(model, b, q)
         if other is None:
             raise InputError(
                 "Distance.between: got one point, expected two: other=(3,) is the end on b, m in "
-                "the world. Distance(a, b, length) takes two Places"
+                "the world, or an rb.Frame as b. Distance(a, b, length) takes two Frames or Places"
             )
         point = check_array("Distance.between", "point", point, (3,))
         other = check_array("Distance.between", "other", other, (3,))
@@ -327,8 +338,8 @@ class Distance(Pair):
     def __check_init__(self) -> None:
         check_number(self, "length", positive=True)
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        return [distance(A, B) - scalar(self.length, now.q.dtype)]
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        return [distance(A, B) - scalar(self.length, context.q.dtype)]
 
 
 class QuaternionWeld(Pair):
@@ -349,8 +360,8 @@ class QuaternionWeld(Pair):
         super().__check_init__()
         check_number(self, "scale")
 
-    def between_frames(self, A: Frame, B: Frame, now: Context) -> Sequence[Row]:
-        scale = scalar(self.scale, now.q.dtype)
+    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+        scale = scalar(self.scale, context.q.dtype)
         # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
         half = trace(A, B).apply(lambda c: 1 / jnp.sqrt(1 + c))
         return [*displacement(A, B), *(row * half * scale for row in turn(A, B))]

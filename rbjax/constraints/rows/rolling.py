@@ -31,7 +31,7 @@ import jax.numpy as jnp
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
@@ -76,8 +76,8 @@ class Rolling(Constraint):
         radius: radius of the wheel, m, above zero.
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     radius: jax.Array = eqx.field(converter=floats)
     size = 3
 
@@ -85,9 +85,9 @@ class Rolling(Constraint):
         check_places(self)
         check_number(self, "radius", positive=True)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.a.frame(now), self.b.frame(now)
-        height, arm = self.contact(A, B, scalar(self.radius, now.q.dtype))
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.a.frame(context), self.b.frame(context)
+        height, arm = self.contact(A, B, scalar(self.radius, context.q.dtype))
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
@@ -158,15 +158,15 @@ class KnifeEdge(Constraint):
         1
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     size = 1
 
     def __check_init__(self) -> None:
         check_places(self)
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.a.frame(now), self.b.frame(now)
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.a.frame(context), self.b.frame(context)
         (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
         arm = Vec3.zero(), Vec3.zero()
         return slip(A, B, arm, [(n.cross(d), dn.cross(d) + n.cross(dd))])

@@ -196,8 +196,8 @@ class Constraint(Record):
         >>> from rbjax.constraints import Constraint, coordinate
         >>> class Mirror(Constraint):
         ...     size = 1
-        ...     def rows(self, now):
-        ...         return [coordinate(now, "shoulder") + coordinate(now, "elbow")]
+        ...     def rows(self, context):
+        ...         return [coordinate(context, "shoulder") + coordinate(context, "elbow")]
         >>> model = rb.load("double_pendulum").with_constraints(Mirror())
     """
 
@@ -209,6 +209,8 @@ class Constraint(Record):
         """Number of rows."""
         raise NotImplementedError(f"{type(self).__name__} has no size")
 
-    def rows(self, now: Context) -> Sequence[Row]:
+    def rows(self, context: Context) -> Sequence[Row]:
         """Build the rows of the constraint in a context."""
-        raise NotImplementedError(f"{type(self).__name__} has no method rows(self, now) -> rows")
+        raise NotImplementedError(
+            f"{type(self).__name__} has no method rows(self, context) -> rows"
+        )

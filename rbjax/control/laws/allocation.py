@@ -119,21 +119,23 @@ def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
 
 
 def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
-    """Return b and B of the actuator forces tau = b + B u: b as nv lanes, B as nv lanes for each
-    control. Structural zeros of B are the literal 0.0."""
+    """Return the bias b and the matrix B of the actuator forces tau = b + B u.
+
+    b is nv lanes, B nv lanes for each control. Structural zeros of B are the literal 0.0.
+    """
     free = _unlimited(model)
-    now = Context.of(free, 0.0, state, None)
+    context = Context.of(free, 0.0, state, None)
     zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
 
     def at(u: list) -> list[Lane]:
         given = Loads()
-        context = dataclasses.replace(now, ctrl=u, found={})
-        for element, seen in element_contexts(free, context):
+        driven = dataclasses.replace(context, ctrl=u, found={})
+        for element, seen in element_contexts(free, driven):
             if element.actuates:
                 given = given + element.loads(seen)
         tau = [given.tau.get(n, 0.0) for n in range(model.nv)]
         if given.wrenches:
-            summed = now.generalized_of(given.wrenches)
+            summed = context.generalized_of(given.wrenches)
             tau = [add(x, summed[n]) for n, x in enumerate(tau)]
         return tau
 
@@ -223,7 +225,10 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """Return B (nv, nu) at a random state, or a matrix of the same sparsity and rank."""
+    """Return B (nv, nu) at a random state, to find dofs without an actuator.
+
+    For some models it is another matrix of the same sparsity and rank.
+    """
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

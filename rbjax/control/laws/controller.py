@@ -91,7 +91,10 @@ def configuration(model: Model, reference: Any, t: Any, dtype: Any) -> Followed:
 
 
 def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
-    """Check a reference of a frame: an array or a function of t, with the parts in `rows`."""
+    """Check the reference of a frame: an array, or a function of t.
+
+    rows: the parts of the pose that it defines, "rotation" or "position" or both.
+    """
     if isinstance(reference, Callable):  # type: ignore[arg-type]
         check_takes(where, "reference", reference, "t")
         return reference
@@ -111,8 +114,10 @@ def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
 
 
 def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
-    """Evaluate the pose, twist and acceleration of a reference at a time. Parts that are not in
-    `rows` are the identity or zero."""
+    """Evaluate the pose, twist and acceleration of a reference at time t.
+
+    rows: the parts of the pose that it defines. The other part is the identity or zero.
+    """
     t = jnp.asarray(t, dtype)
 
     def at(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -204,7 +209,8 @@ def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> j
 
 
 def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:
-    """Return the actuator forces (nv,) for the accelerations a: M a + b - other forces."""
+    """Return the actuator forces (nv,) for the accelerations a, by inverse dynamics: M a + b -
+    other forces."""
     return inverse_dynamics(model, state.q, state.v, a) - applied_forces(model, state, None)
 
 

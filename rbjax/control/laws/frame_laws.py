@@ -126,7 +126,7 @@ def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Mo
 
 
 class Inertia(NamedTuple):
-    """M^-1 J^T (nv, m) and the task inertia Lambda (m, m)."""
+    """The dynamics of a task: M^-1 J^T (nv, m), and the task inertia Lambda (m, m)."""
 
     to_joints: jax.Array
     task: jax.Array
@@ -173,7 +173,7 @@ class FrameController(Controller):
     posture_damping: jax.Array
 
     def _posture(self, t: Any, state: State) -> jax.Array:
-        """Return K_0 (q_0 - q) - D_0 v (nv,)."""
+        """Return the pull K_0 (q_0 - q) - D_0 v (nv,) towards the posture q_0 in the null space."""
         out = -self.posture_damping * state.v
         if self.posture is None:
             return out
@@ -196,7 +196,7 @@ class OperationalSpace(FrameController):
         return rest + matvec(inertia.to_joints, matvec(inertia.task, left))
 
     def command(self, t: Any, state: State) -> jax.Array:
-        """Return V'_c (m,), the desired acceleration of the frame."""
+        """Return the desired acceleration V'_c (m,) of the frame, with feedback."""
         return self._command(motion(self.model, self.task, self.reference, t, state))
 
     def _command(self, frame: Motion) -> jax.Array:

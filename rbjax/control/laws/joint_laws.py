@@ -104,7 +104,7 @@ def computed_torque(
 def tracking_acceleration(
     model: Model, state: State, desired: Followed, K: jax.Array, D: jax.Array
 ) -> jax.Array:
-    """Return the acceleration a (nv,) under which the error obeys e'' + D e' + K e = 0."""
+    """Return the acceleration a (nv,) under which the tracking error obeys e'' + D e' + K e = 0."""
     q, v = state.q, state.v
     e = difference(model, q, desired.q)
     a = desired.a + D * (desired.v - v) + K * e

@@ -102,10 +102,10 @@ def _random_layers(key: jax.Array, sizes: tuple[int, ...], last: jax.Array) -> t
 
 
 class Segment(NamedTuple):
-    """Motions of a batch: states (B, T + 1, ...), ctrls (B, T, nu), costs (B, T)."""
+    """Motions of a batch: states (B, T + 1, ...), ctrl (B, T, nu), costs (B, T)."""
 
     states: State
-    ctrls: jax.Array
+    ctrl: jax.Array
     costs: jax.Array
 
 

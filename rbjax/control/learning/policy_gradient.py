@@ -203,14 +203,15 @@ def actor_critic(
 
 
 def policy_loss(costs: jax.Array, last: jax.Array, discount: float) -> jax.Array:
-    """Return the batch mean of (1 - g) sum g^k c_k + g^h V(x_h), for costs (B, h) and last (B,)."""
+    """Return the batch mean of the loss: discounted costs (B, h), plus the discounted last value
+    (B,)."""
     h = costs.shape[1]
     weights = discount ** jnp.arange(h, dtype=costs.dtype)
     return ((1 - discount) * (weights * costs).sum(1) + discount**h * last).mean()
 
 
 def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -> jax.Array:
-    """Return the targets G (B, h) of V, from costs (B, h) and V'(x_{k+1}) (B, h)."""
+    """Return the targets (B, h) of the value function, from costs (B, h) and next values (B, h)."""
 
     def back(G: jax.Array, x: tuple) -> tuple[jax.Array, jax.Array]:
         c, V = x
@@ -250,5 +251,5 @@ def renew_batch(
 
 
 def _is_number(x: Any) -> bool:
-    """Return whether a leaf, or its shape, is of floating-point numbers."""
+    """Return whether a leaf is a floating-point array, or the shape of one."""
     return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)

@@ -22,6 +22,7 @@ from rbjax.compiler import fast_compile
 from rbjax.control.learning.environment import Environment
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
+from rbjax.lanes.arrays import select
 from rbjax.model.record import Record
 from rbjax.progress import progress_line
 
@@ -36,7 +37,10 @@ OPTIMISED_FROM = 2000
 def run_iterations(
     where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
 ) -> tuple[Any, jax.Array]:
-    """Run all iterations from begin(*given), in one program or in chunks that report progress."""
+    """Run all iterations x_{k+1}, c_k = turn(x_k) from x_0 = begin(*given).
+
+    They are one program, or chunks that report progress.
+    """
     quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     first = jit(lambda n, *given: jax.lax.scan(turn, begin(*given), None, n), static_argnums=0)
@@ -83,7 +87,9 @@ def through_time(
     optimiser: Any = None,
     progress: bool = False,
 ) -> Trained:
-    """Train a policy by back-propagation through whole episodes, for gains and short motions.
+    """Train a policy by back-propagation through whole episodes.
+
+    Use it for a few gains, or for short episodes. For long ones use `actor_critic`.
 
     It minimises over theta the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of
     initial states, which are drawn again in each iteration.
@@ -157,9 +163,7 @@ def apply_update(
     slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)
     update, after = optimiser.update(slope, memory, numbers)
     moved = optax.apply_updates(numbers, update)
-    numbers, memory = jax.tree.map(
-        lambda new, old: jnp.where(fine, new, old), (moved, after), (numbers, memory)
-    )
+    numbers, memory = select(fine, (moved, after), (numbers, memory))
     return numbers, memory, fine
 
 

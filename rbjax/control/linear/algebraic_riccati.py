@@ -179,7 +179,8 @@ def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """Return P and flags: a stabilising start exists, Newton converged, definite Hessian."""
+    """Return P and three flags: a stabilising start exists, Newton converged, the Hessian is
+    definite."""
     A, B, Q, R, S = matrices
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
@@ -278,7 +279,11 @@ def _norm(A: jax.Array) -> jax.Array:
 
 
 def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) -> Any:
-    """Return P, whether it converged and is stabilising, and whether the Hessian is definite."""
+    """Return the cost matrix P by Newton's method from the gain K.
+
+    Also return whether it converged and is stabilising, and whether the control Hessian is
+    definite.
+    """
     A, B, Q, R, S = problem
     eps = jnp.finfo(A.dtype).eps
 

@@ -31,7 +31,13 @@ from rbjax.lanes.arrays import matrix_transpose, matvec
 
 
 class Stretch(NamedTuple):
-    """A segment of the horizon: F (n, n), b (n,), C (n, n), e (n,), J (n, n) of its cost V."""
+    """A segment of the horizon, from state x at one knot to state y at a later one.
+
+        V(x, y) = max over l of  1/2 x'Jx - x'e - 1/2 l'C l - l'(y - F x - b)
+
+    F, b: the closed-loop dynamics, (n, n) and (n,).
+    C, e, J: coefficients of the least cost V, (n, n), (n,) and (n, n).
+    """
 
     F: jax.Array
     b: jax.Array
@@ -60,7 +66,8 @@ def join(one: Stretch, two: Stretch) -> Stretch:
 
 
 def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
-    """Return the N steps and the end as segments, and whether all R are definite."""
+    """Return the N steps and the end as segments, and whether all control weights R are positive
+    definite."""
     A, B, d, Q, q, R, r, S = problem
     L, ok = jax.vmap(definite_factor)((R + matrix_transpose(R)) / 2)
 
@@ -80,7 +87,10 @@ def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
 
 
 def join_tails(each: Stretch, by: str) -> Stretch:
-    """Return the segments from every knot to the end."""
+    """Return the segments from every knot to the end.
+
+    by: "doubling" or "tree", the algorithm of the scan.
+    """
     if by == "tree":
         return jax.lax.associative_scan(lambda a, b: join(b, a), each, reverse=True)
     count = each.b.shape[0]

@@ -100,7 +100,8 @@ def _margins(
 
 
 def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
-    """Return frequencies in rad/s (points,)."""
+    """Return a logarithmic grid of frequencies (points,), rad/s, around the rates of A and of the
+    closed loop."""
     if dt is not None:  # up to the Nyquist frequency
         return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
     fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))
@@ -119,7 +120,10 @@ def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) ->
         return (k * jnp.linalg.solve(z * one - A, b.astype(z.dtype))).sum()
 
     def refined(f: Any, values: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return frequencies at which f(l) changes sign, and l at them; unused entries are nan."""
+        """Return frequencies at which f(l) changes sign, and the loop transfer function l at them.
+
+        Unused entries are nan.
+        """
         sign = jnp.signbit(values)
         at = jnp.nonzero(sign[1:] != sign[:-1], size=CROSSINGS, fill_value=-1)[0]
         low, high = w[at], w[at + 1]

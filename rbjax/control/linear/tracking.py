@@ -1,6 +1,6 @@
 """A time-varying linear quadratic regulator along a motion of a model.
 
-    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k,     u = ctrls_k - K_k dx_k
+    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k,     u = ctrl_k - K_k dx_k
 
 Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2; Sola, *A micro Lie
 theory*, 2018 (tangent spaces).
@@ -31,7 +31,7 @@ class Tracking(Record):
 
     model: the robot.
     states: q (N + 1, nq), v (N + 1, nv) and x (N + 1, nx).
-    ctrls: controls along the motion, (N, nu).
+    ctrl: controls along the motion, (N, nu).
     dt: the step, (), s.
     K: gains, (N, nu, n).
     P: matrices of the cost to go dx'P dx, (N + 1, n, n).
@@ -40,7 +40,7 @@ class Tracking(Record):
 
     model: Model
     states: State
-    ctrls: jax.Array
+    ctrl: jax.Array
     dt: jax.Array
     K: jax.Array
     P: jax.Array
@@ -50,8 +50,8 @@ class Tracking(Record):
         """Return the controls (nu,) at a time in s since the start of the motion. Times before the
         start use the first step, and times after the end use the last step."""
         k = jnp.floor(t / self.dt + 1e-3).astype(jnp.int32)  # times of knots are rounded
-        k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
-        K, u = self.K[k], self.ctrls[k]
+        k = jnp.clip(k, 0, self.ctrl.shape[0] - 1)
+        K, u = self.K[k], self.ctrl[k]
         here = jax.tree.map(lambda x: x[k], self.states)
         return u - (K * box_minus(self.model, here, state)).sum(-1)
 
@@ -59,7 +59,7 @@ class Tracking(Record):
 def time_varying_lqr(
     model: Model,
     states: State,
-    ctrls: Any,
+    ctrl: Any,
     dt: Any,
     Q: Any,
     R: Any,
@@ -76,7 +76,7 @@ def time_varying_lqr(
     Args:
         model: the robot.
         states: a `Trajectory` or `State` with q (N + 1, nq) and v (N + 1, nv), as from `rollout`.
-        ctrls: (N, nu).
+        ctrl: (N, nu).
         dt: seconds.
         Q: (n, n) or the weights (n,), n = 2 nv + nx.
         R: (nu, nu) or (nu,).
@@ -106,12 +106,12 @@ def time_varying_lqr(
     """
     where = "time_varying_lqr"
     check_model(where, model)
-    shape = shape_of(where, "ctrls", ctrls)
+    shape = shape_of(where, "ctrl", ctrl)
     if len(shape) != 2 or not shape[0]:
         hint = "; for a batch use jax.vmap" if len(shape) == 3 else ""
-        raise InputError(f"{where}: ctrls has shape {shape}, expected (N, {model.nu}){hint}")
+        raise InputError(f"{where}: ctrl has shape {shape}, expected (N, {model.nu}){hint}")
     N, n = shape[0], 2 * model.nv + model.nx
-    u = check_array(where, "ctrls", ctrls, (N, model.nu))
+    u = check_array(where, "ctrl", ctrl, (N, model.nu))
     if not (hasattr(states, "q") and hasattr(states, "v")):
         raise InputError(
             f"{where}: states is {type(states).__name__}, expected a State or Trajectory of "

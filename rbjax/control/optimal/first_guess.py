@@ -29,28 +29,29 @@ from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 
 
 class Guess(NamedTuple):
     """A first guess; None is the default of each field."""
 
     states: Any = None  # (N + 1, ...)
-    ctrls: Any = None  # (N, nu)
+    ctrl: Any = None  # (N, nu)
     parameters: Any = None  # (p,)
     K: Any = None  # (N, nu, n), the gains of a solution
     multipliers: Multipliers | None = None  # the multipliers of a solution
 
 
-def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: Any) -> Guess:
+def guess_of(problem: Problem, guess: Any, states: Any, ctrl: Any, parameters: Any) -> Guess:
     """Build the guess from the arguments of `solve`."""
     if guess is None:
-        return Guess(states, None if ctrls is None else jnp.asarray(ctrls), parameters)
+        return Guess(states, None if ctrl is None else jnp.asarray(ctrl), parameters)
     if not isinstance(guess, Solution):
         raise InputError(
             f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
-            "give arrays as states= and ctrls="
+            "give arrays as states= and ctrl="
         )
-    given = {"states": states, "ctrls": ctrls, "parameters": parameters}
+    given = {"states": states, "ctrl": ctrl, "parameters": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:
         raise InputError(f"solve: got guess and {twice}, expected one of them: a Solution has both")
@@ -59,11 +60,11 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, parameters: 
     multipliers = None
     if sum(sizes) and (path.shape, end.shape) == ((problem.horizon, sizes[0]), (sizes[1],)):
         multipliers = Multipliers(path, end, guess.penalty)
-    return Guess(guess.states, guess.ctrls, guess.parameters, guess.K, multipliers)
+    return Guess(guess.states, guess.ctrl, guess.parameters, guess.K, multipliers)
 
 
 def first_guess(
-    problem: Problem, start: Any, states: Any = None, ctrls: Any = None, parameters: Any = None,
+    problem: Problem, start: Any, states: Any = None, ctrl: Any = None, parameters: Any = None,
     K: Any = None,
 ) -> tuple[Knot, jax.Array]:  # fmt: skip
     """Check the first guess and return the knots and controls from which a search starts."""
@@ -78,15 +79,15 @@ def first_guess(
         if got != due:
             raise InputError(f"solve: states has shapes {got}, expected {due}: one a knot")
         states = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), states, one)
-    us = jnp.zeros((N, problem.nu), dtype) if ctrls is None else jnp.asarray(ctrls, dtype)
+    us = jnp.zeros((N, problem.nu), dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
     if us.shape != (N, problem.nu):
-        raise InputError(f"solve: ctrls has shape {us.shape}, expected ({N}, {problem.nu})")
+        raise InputError(f"solve: ctrl has shape {us.shape}, expected ({N}, {problem.nu})")
     p = problem.first_parameters(dtype) if parameters is None else jnp.asarray(parameters, dtype)
     if p.shape != (problem.parameter_count,):
         due = (problem.parameter_count,)
         raise InputError(f"solve: parameters has shape {p.shape}, expected {due}")
     knots = Knot(states, jnp.broadcast_to(p, (N + 1, *p.shape)))
-    if ctrls is None or not (alone or K is not None):
+    if ctrl is None or not (alone or K is not None):
         return knots, us
     gains = jnp.zeros((N, problem.nu, problem.n), dtype) if K is None else jnp.asarray(K, dtype)
     if gains.shape != (N, problem.nu, problem.n):
@@ -98,13 +99,13 @@ def first_guess(
     cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
     good = whole & jnp.isfinite(cost)
     good &= (cost <= standing) if K is None else (gains != 0).any()
-    return jax.tree.map(lambda x, y: jnp.where(good, x, y), found, (knots, us))
+    return select(good, found, (knots, us))
 
 
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[Knot, jax.Array]:
-    """Roll out from the start with feedback about knots."""
+    """Roll out the controls from the start, with feedback K on the deviation from the knots."""
     first = take(knots, 0)
     away = problem.system.minus(first.state, start)
     away = jnp.where(jnp.asarray(problem.free), away, 0.0)

@@ -150,7 +150,7 @@ def cost_terms(problem: Problem, where: str) -> list[Any]:
 
 
 def merit_terms(problem: Problem, where: str, rows: jax.Array, mu: jax.Array) -> list[Any]:
-    """Return the terms of the costs, and the augmented Lagrangian residuals of each constraint."""
+    """Return the terms of the merit function: costs, and augmented Lagrangian residuals."""
     found = cost_terms(problem, where)
     at = 0
     for c, size in row_sizes(problem, where):

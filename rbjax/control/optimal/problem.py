@@ -246,7 +246,7 @@ class Problem(Record):
         return jnp.concatenate(parts)
 
     def off_start(self, start: Any, first: Knot) -> jax.Array:
-        """Return start (-) first knot (n,), with 0 for free coordinates."""
+        """Return the gap start (-) first knot (n,), which is 0 for free coordinates."""
         off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
         return jnp.concatenate([off, jnp.zeros(self.parameter_count, off.dtype)])
 
@@ -315,7 +315,9 @@ class Problem(Record):
         return jnp.where(self.counts_at(c.knots, k), value, jnp.clip(value, low, high))
 
     def counts_at(self, knots: tuple[int, ...], k: Any) -> jax.Array:
-        """Return whether the (fractional) knot index k belongs to one of the knots or the end."""
+        """Return whether knot index k, rounded down (a stage has a fraction), is in `knots` or the
+        end.
+        """
         counts = np.zeros(self.horizon + 1, bool)
         counts[[*knots, self.horizon]] = True
         at = jnp.floor(jnp.asarray(k) + 1e-6).astype(jnp.uint32)

@@ -40,7 +40,7 @@ class RealTime:
     Args:
         controller: from `rb.control.mpc`.
         state: the first state, from which the first plan is computed.
-        ctrls: a first guess of the controls.
+        ctrl: a first guess of the controls.
 
     The constructor compiles all programs, so that the first call is as fast as later ones. `status`
     is the `TickStatus` of the last control. `search_status` is the `Status` of the last search.
@@ -58,14 +58,14 @@ class RealTime:
         ((1,), 1)
     """
 
-    def __init__(self, controller: PredictiveController, state: Any, ctrls: Any = None) -> None:
+    def __init__(self, controller: PredictiveController, state: Any, ctrl: Any = None) -> None:
         expected = "what rb.control.mpc returns"
         instance("RealTime", "controller", controller, PredictiveController, expected)
         self.controller = controller
         x = controller.problem.system.checked("RealTime", state)
         options = compiler_options()
         begin = jax.jit(controller.begin, compiler_options=options)
-        self.memory = jax.block_until_ready(begin(x, ctrls))
+        self.memory = jax.block_until_ready(begin(x, ctrl))
         zero = jnp.zeros((), controller.dt.dtype)
         tick = jax.jit(controller.tick, compiler_options=options)
         self._tick = tick.lower(self.memory, zero, x).compile()

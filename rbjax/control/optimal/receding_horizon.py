@@ -34,6 +34,7 @@ from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
+from rbjax.lanes.arrays import select
 
 
 class TickStatus(enum.IntEnum):
@@ -58,10 +59,10 @@ class PlannedControl(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The memory of a controller: the last plan and its gains du = +K dx."""
+    """The memory of a controller between ticks: the last plan, and its gains K of du = K dx."""
 
     knots: Knot  # (N + 1, ...)
-    ctrls: jax.Array  # (N, nu)
+    ctrl: jax.Array  # (N, nu)
     K: jax.Array  # (N, nu, n)
     multipliers: Multipliers | None  # from the last plan; None for a method without them
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
@@ -77,7 +78,7 @@ class Run(NamedTuple):
 
     ts: jax.Array  # (T + 1,) s
     states: Any  # with a leading axis T + 1
-    ctrls: jax.Array  # (T, nu)
+    ctrl: jax.Array  # (T, nu)
     statuses: jax.Array  # (T,), a `TickStatus` each
     search_statuses: jax.Array  # (T,), a `Status` each
     costs: jax.Array  # (T,), of the plans
@@ -113,20 +114,20 @@ class PredictiveController:
         """The length of a tick, s."""
         return self.problem.dt
 
-    def begin(self, state: Any, ctrls: Any = None) -> Memory:
+    def begin(self, state: Any, ctrl: Any = None) -> Memory:
         """Return the first memory: a plan from the state, with `first` iterations.
 
         Args:
             state: of the system.
-            ctrls: a first guess (N, nu) of the controls; zeros if None.
+            ctrl: a first guess (N, nu) of the controls; zeros if None.
         """
         problem = self.problem
         x = problem.system.checked("mpc", state)
-        knots, us = first_guess(problem, x, ctrls=ctrls)
+        knots, us = first_guess(problem, x, ctrl=ctrl)
         found = self._search(problem, x, knots, us, None, self.first)
-        whole = _finite((found.knots, found.ctrls, found.K)) & (found.status != NOT_FINITE)
-        given, planned = (knots, us), (found.knots, found.ctrls)
-        knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
+        whole = _finite((found.knots, found.ctrl, found.K)) & (found.status != NOT_FINITE)
+        given, planned = (knots, us), (found.knots, found.ctrl)
+        knots, us = select(whole, planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
@@ -210,9 +211,9 @@ class PredictiveController:
             k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
             knots = take(memory.knots, late)
-            ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
+            ctrls = memory.ctrl[jnp.minimum(late[:-1], N - 1)]
             multipliers = shift_multipliers(memory.multipliers, late[:-1])
-            shifted = memory._replace(knots=knots, ctrls=ctrls, multipliers=multipliers)
+            shifted = memory._replace(knots=knots, ctrl=ctrls, multipliers=multipliers)
             planned = self._planned(problem, shifted, x)
             return self._acted(problem, self._entry(planned, 0), t, x)
 
@@ -232,41 +233,40 @@ class PredictiveController:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array:
-        """Return the largest gap of a plan; 0 without constraints, which do not need it."""
+        """Return the largest gap of a plan, or 0 without constraints, if a gap has no effect."""
         return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """Return the memory with a new plan, or with the last plan if the new one fails."""
         found = self._search(
-            problem, start, memory.knots, memory.ctrls, memory.multipliers, self.iterations
+            problem, start, memory.knots, memory.ctrl, memory.multipliers, self.iterations
         )
-        good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
+        good = _finite((found.knots, found.ctrl, found.K, found.cost, start))
         # accept a plan whose measured start violates a constraint
         first = take(found.knots, 0)
-        zero = jnp.zeros((), found.ctrls.dtype)
-        off = knot_violation(problem, "path", zero, first, found.ctrls[0]) > self.violation
+        zero = jnp.zeros((), found.ctrl.dtype)
+        off = knot_violation(problem, "path", zero, first, found.ctrl[0]) > self.violation
         good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
-            knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
+            knots=found.knots, ctrl=found.ctrl, K=found.K, cost=found.cost,
             violation=found.violation, gap=self._gap(found),
             multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
-        picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
-        return picked._replace(search_status=found.status)
+        return select(good, new, old)._replace(search_status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
         """Shift the plan by a tick, with the last control repeated."""
-        ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
+        ctrls = jnp.concatenate([memory.ctrl[1:], memory.ctrl[-1:]])
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
         last = take(memory.knots, -1)
         k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
         after = threads(problem.step)(k, last, ctrls[-1])
-        after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
+        after = select(_finite(after), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
         at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
         multipliers = shift_multipliers(memory.multipliers, at)
-        return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
+        return memory._replace(knots=knots, ctrl=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> PlannedControl:
         """Return the control of the plan for its tick k."""
@@ -277,10 +277,11 @@ class PredictiveController:
         status = jnp.where(memory.failures > 0, KEPT, status)
         status = jnp.where(memory.failures > self.patience, FALLBACK, status)
         state = take(memory.knots.state, k)
-        return PlannedControl(memory.ctrls[k], memory.K[k], state, status)
+        return PlannedControl(memory.ctrl[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """Return the control of a tick: planned with feedback, or from the fallback."""
+        """Return the control of a tick: the planned control with feedback, or the fallback
+        policy's."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

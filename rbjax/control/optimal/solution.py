@@ -39,19 +39,19 @@ class StageValues(NamedTuple):
 
     c: positions of the stages in a step, from 0 to 1, (s,).
     states: with leading axes N and s.
-    ctrls: (N, s, m).
+    ctrl: (N, s, m).
     """
 
     c: jax.Array
     states: Any
-    ctrls: jax.Array
+    ctrl: jax.Array
 
 
 class SearchResult(NamedTuple):
     """The result of a method, without the problem: a pytree of arrays."""
 
     knots: Knot  # (N + 1, ...)
-    ctrls: jax.Array  # (N, m)
+    ctrl: jax.Array  # (N, m)
     cost: jax.Array  # (), without penalties
     status: jax.Array  # (), of `rbjax.control.status`
     iterations: jax.Array  # ()
@@ -74,7 +74,7 @@ class Solution(Record):
         problem: the `Problem`.
         ts: (N + 1,) s.
         states: with a leading axis N + 1.
-        ctrls: (N, nu); for a collocation the means over the steps.
+        ctrl: (N, nu); for a collocation the means over the steps.
         parameters: (p,), the optimised design parameters and, last, the final time.
         cost: (), without penalties.
         status: (), a `rb.control.Status`; `summary()` explains it.
@@ -84,7 +84,7 @@ class Solution(Record):
         violation: (), largest constraint violation.
         violations: largest violation of each constraint.
         costs: (history,), cost after each iteration.
-        K: (N, nu, n), gains of the feedback u = ctrls - K (x (-) states).
+        K: (N, nu, n), gains of the feedback u = ctrl - K (x (-) states).
         multipliers: of the constraints, a pair (N, c), (e,).
         penalty: (), of the augmented Lagrangian.
         stages: `StageValues` of a collocation, else None.
@@ -94,7 +94,7 @@ class Solution(Record):
     problem: Problem
     ts: jax.Array
     states: Any
-    ctrls: jax.Array
+    ctrl: jax.Array
     parameters: jax.Array
     cost: jax.Array
     status: jax.Array
@@ -155,7 +155,7 @@ class Solution(Record):
         def act(t: Any, state: Any) -> jax.Array:
             k = jnp.clip(jnp.floor((t - self.ts[0]) / dt + 1e-6).astype(int), 0, N - 1)
             dx = system.minus(state, self.state(k))
-            return problem.within_bounds(self.ctrls[k] - (self.K[k, :, :n] * dx).sum(-1))
+            return problem.within_bounds(self.ctrl[k] - (self.K[k, :, :n] * dx).sum(-1))
 
         return act
 
@@ -169,7 +169,7 @@ def solution_of(
     if penalty is None:
         penalty = jnp.full_like(result.cost, PENALTY)
     return Solution(
-        problem, ts, result.knots.state, result.ctrls, parameters, result.cost, result.status,
+        problem, ts, result.knots.state, result.ctrl, parameters, result.cost, result.status,
         result.iterations, result.expected_decrease, result.gap, result.violation, violations,
         result.costs, -result.K, (result.path, result.end), penalty, result.stages, method,
     )  # fmt: skip

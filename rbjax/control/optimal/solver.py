@@ -109,7 +109,7 @@ class ConstantRobots:
 
 
 def _forget(found: dict) -> None:
-    """Remove the oldest entries, so that there is space for one more."""
+    """Remove the oldest entries of a cache, to make space for one more."""
     while len(found) >= REMEMBERED:
         del found[next(iter(found))]
 
@@ -120,7 +120,7 @@ def solve(
     *,
     method: Any = "ddp",
     states: Any = None,
-    ctrls: Any = None,
+    ctrl: Any = None,
     parameters: Any = None,
     guess: Solution | None = None,
     iterations: int = 200,
@@ -139,9 +139,9 @@ def solve(
             are a first guess.
         method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
         states: a first guess of the states, with a leading axis N + 1, which need not obey the
-            dynamics. If None: the start at all knots; or, if ctrls are given, the motion under them
+            dynamics. If None: the start at all knots; or, if ctrl is given, the motion under them
             if it costs less.
-        ctrls: a first guess (N, nu) of the controls; zeros if None.
+        ctrl: a first guess (N, nu) of the controls; zeros if None.
         parameters: a first guess of the design parameters and, last, of the final time.
         guess: the `Solution` of a similar problem, instead of these three. The search starts from
             its motion, rolled out with its gains from the new start, and from its multipliers.
@@ -149,7 +149,9 @@ def solve(
         tolerance: the search converges if the predicted change of the cost is below this, relative
             to the larger of |cost| and min(|cost of the first guess|, 1); at least 10 eps of the
             dtype.
-        violation: largest accepted constraint violation, in the units of the constraints.
+        violation: largest accepted constraint violation, in the units of the constraints; at least
+            10 eps of the dtype. float32 has too few digits for some end states of long or unstable
+            motions, such as a swing-up: these searches end as stuck near the optimum.
         seed: integer seed of methods that draw samples; use `jax.vmap` over it for many attempts.
         progress: if true, print the iterations on a terminal; ignored in traced code.
 
@@ -184,7 +186,7 @@ def solve(
     integer("solve", "iterations", iterations, least=1)
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         real_number("solve", name, value, least=0.0, finite=False, traced=True)
-    for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
+    for name, value in (("start", start), ("states", states), ("ctrl", ctrl),
                         ("parameters", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
@@ -192,8 +194,10 @@ def solve(
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _as_number
-    began = guess_of(problem, guess, states, ctrls, parameters)
-    rule = StoppingRule(number(tolerance), number(violation), number(iterations))
+    began = guess_of(problem, guess, states, ctrl, parameters)
+    least = 10 * float(jnp.finfo(problem.dt.dtype).eps)
+    largest = jnp.maximum(violation, least) if inside else max(float(violation), least)
+    rule = StoppingRule(number(tolerance), number(largest), number(iterations))
     options = Options(
         rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
     )
@@ -270,7 +274,7 @@ _robots = ConstantRobots()
 
 
 def _as_number(x: Any) -> Any:
-    """Return x as a valid argument of a compiled function."""
+    """Convert x to an array. Python numbers are unchanged."""
     return x if isinstance(x, int | float) else jnp.asarray(x)
 
 
@@ -287,7 +291,7 @@ def _solve(
     knots, ctrls = first_guess(problem, start, *guess[:4])
     found, off = _search(problem, start, knots, ctrls, options, method, history)
     parameters = found.knots.parameters[0]
-    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrl.dtype)
     ts = problem.time(ks, problem.at(parameters)[1])
     return found, off, ts, parameters
 
@@ -308,7 +312,7 @@ def _search(
         found = _without_derivative(search(problem, start, knots, ctrls, options))
     if found.violations is not None:
         return found, found.violations
-    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
+    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrl))
     # a penalty method may converge to a point that violates constraints
     rests = (found.status == CONVERGED) | (found.status == FINISHED)
     broken = (off > options.rule.violation).any() & rests

@@ -249,7 +249,10 @@ class Acceleration(Term):
 
 
 class Jerk(Term):
-    """Jerk v'' (nv,) of the dynamics without constraints, for constant controls: a_q v + a_v a."""
+    """Jerk v'' (nv,) of the dynamics without constraints, for constant controls.
+
+    It is a_q v + a_v a, with the derivatives a_q, a_v of the acceleration a.
+    """
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         acceleration = Acceleration()

@@ -51,7 +51,7 @@ def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.
 
 
 def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """Compute qdd, 1 / D and U of each link in its own axes, as an array (8, nv)."""
+    """Compute the acceleration qdd of each link, and U and 1 / D of ABA in its axes, as (8, nv)."""
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
@@ -75,7 +75,9 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """Compute X, U and 1 / D of each link as an array (19, nv), with S appended if it varies.
+    """Compute the pose X and the ABA factors U and 1 / D of each link as an array (19, nv).
+
+    The axis S is appended if it varies.
 
     They are in the axes of the link, in which float32 keeps more digits than in world axes.
     """
@@ -91,7 +93,7 @@ def _lane_rows(d: Driver, values: Any, like: jax.Array) -> jax.Array:
 
 
 def _seconds(pairs: tuple) -> list:
-    """Return the second factors of the products of `pair_matrix`."""
+    """Return the second vector b of each pair (a, b) of `pair_matrix`."""
     return [b for pair in pairs for _, b in pair]
 
 
@@ -203,7 +205,11 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """Compute the entries of one column of `count` matrices, link by link."""
+    """Compute one column of `count` matrices, link by link.
+
+    rows: the rows of all links. own: the row of the link of the column. places: rows of
+        `which_moves`.
+    """
     out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))

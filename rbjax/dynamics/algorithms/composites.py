@@ -63,11 +63,15 @@ def axis_twists(d: Driver, V: Any) -> Any:
     return d.take(V, [dof.node[-1] for dof in d.topology.dofs])
 
 
-def link_inertias(d: Driver, poses: Any) -> Any:
+def link_inertias(d: Driver, poses: Any, joints: Any) -> Any:
     """Compute the inertia of each link in world axes."""
-    return d.each(
+    inertias = d.each(
         lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
     )
+    if not d.topology.flexible:
+        return inertias
+    modal = d.each(lambda pose, modal: pose.rigid_to_parent(modal.rigid), poses, d.modes(joints)[0])
+    return d.each(RigidInertia.__add__, inertias, modal)
 
 
 class Coriolis(NamedTuple):
@@ -99,11 +103,11 @@ class Coriolis(NamedTuple):
         return cls(Mat3.zero(), Vec3.zero())
 
     def __call__(self, w: Vec3) -> Force:
-        """Compute the product B [w; u], which does not depend on u."""
+        """Compute the force B [w; u] of a motion [w; u]. It does not depend on u."""
         return Force(self.K @ w, w.cross(self.f))
 
     def transposed(self, S: Motion) -> Vec3:
-        """Return the angular part of B^T S. Its linear part is zero."""
+        """Return the angular part of B^T S for a motion S. The linear part is zero."""
         return self.K.T @ S.ang + self.f.cross(S.lin)
 
 
@@ -184,7 +188,7 @@ def whole_operands(d: Driver, *args: Any) -> Operands:
 
 
 def _before(top: Topology, i: int) -> int:
-    """Return the link whose twist gives Psi' = V x S for link i.
+    """Return the link whose twist V gives the rate Psi' = V x S of the axis of link i.
 
     It is the parent of the first link of a ball. Otherwise it is link i itself, because S x S = 0.
     """

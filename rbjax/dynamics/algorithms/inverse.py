@@ -75,7 +75,7 @@ class InverseMass:
         return [moved(y) for y in fusion_barrier([scaled(y) for y in (*map(driven, columns), row)])]
 
     def __call__(self, *pairs: Any) -> list[jax.Array]:
-        """Compute -M^-1 X for each matrix X = `pair_matrix(d, *pair)`, and M^-1 as the last one."""
+        """Compute -M^-1 X for each matrix X = `pair_matrix(d, *pair)`, and last M^-1 itself."""
         d, n, like = self.d, self.d.topology.nv, self.like
         count = len(pairs) + 1
         flat = jnp.zeros(count * n, like.dtype)
@@ -98,7 +98,8 @@ class InverseMass:
 
 
 def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
-    """Compute P as an array (nv, nv), with one outward sweep for all columns."""
+    """Compute P as an array (nv, nv): the joint accelerations for a unit acceleration of each
+    joint."""
 
     def follow(x, a_parent):
         S, U, unit = x

@@ -38,11 +38,18 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
         u' = J_r(u)^-1 w = w + u x w / 2 + e u x (u x w),   e = 1/12 + x/720 + ..., x = |u|^2
 
     The series of e ends at x^5. It is exact to order 13 in u, with an error of 1e-5 w at |u| = 2.
+    Beyond |u| = 3 e is constant, so that stages of a long step stay finite (e has a pole at 2 pi).
     The full function is `rotations.inverse_jacobian_coefficient`, which needs sines.
     """
-    return _with_attitudes(top, u, v, lambda x: (0.5, horner(_TURN, x)))
+
+    def coefficients(x: Lane) -> tuple[Lane, Lane]:
+        near = x if isinstance(x, float | int) else jnp.minimum(x, _FARTHEST)
+        return 0.5, horner(_TURN, near)
+
+    return _with_attitudes(top, u, v, coefficients)
 
 
+_FARTHEST = 9.0  # largest t^2 of the series below
 #: |B_2k| / (2 k)!, the coefficients of (1 - (t/2) cot(t/2)) / t^2 as a series in t^2
 _TURN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
 

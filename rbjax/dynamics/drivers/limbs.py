@@ -63,7 +63,8 @@ class Limbs(unrolled.ListDriver):
         return Parts(trunk, limbs)
 
     def _column(self, column: Any, links: Sequence[int]) -> Any:
-        """Return the rows of a column for some links, or a literal if they are equal constants."""
+        """Return the rows of a column for some links, or a literal if all rows are the same
+        constant."""
         if isinstance(column, np.ndarray):
             return _merged(*(lane(column, i) for i in links))
         return _rows(column, links)

@@ -28,10 +28,11 @@ def movers(top: Topology, i: int) -> list[int]:
 
 
 def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:
-    """Compute a matrix (nv, nv) whose entry (i, j) is a_i . b_j.
+    """Compute a matrix (nv, nv) with the entries a_i . b_j, or zero if neither link moves the
+    other.
 
-    The pair of vectors (a, b) is `below` if j moves i (`movers`), and `above` if only i moves j.
-    If neither link moves the other, the entry is zero.
+    below: vectors (a, b) of each link, used if link j moves link i (`movers`).
+    above: vectors (a, b) of each link, used if only link i moves link j.
     """
     if d.listed:
         return packed(pair_entries(d.topology, above, below), like)
@@ -104,7 +105,8 @@ def which_moves(top: Topology) -> np.ndarray:
 
 
 def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
-    """Return `_moves`, and the lanes of `pairs` as arrays (nv,)."""
+    """Return the mask (nv, nv) of links that move each other, and the lanes of `pairs` as arrays
+    (nv,)."""
 
     def spread(v):
         return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (top.nv,)) for x in v]

@@ -57,8 +57,11 @@ class Activation(Record):
         return self.within(a + h * self.rate(u, a))
 
     def within(self, a: Lane, period: Lane | None = None) -> Lane:
-        """Clip a to its range. With the period of an angle, keep a value that is equal to one in
-        the range up to full periods: `advanced` clips first, and then adds periods."""
+        """Clip a to its range.
+
+        period: of a value that is an angle; None otherwise. An angle that differs from one in the
+            range by full periods is returned unchanged.
+        """
         limits = table(self.limits, a.dtype)[None]
         near = clip(a, limits, 0)
         if period is None or near is a:
@@ -80,7 +83,10 @@ class Integrator(Activation):
 
 
 class Filter(Activation):
-    """A first-order lag a' = (u - a) / T; `exact`: its steps are the exact solution."""
+    """A first-order lag a' = (u - a) / T of the control u, with time constant T.
+
+    exact: whether its steps are the exact solution.
+    """
 
     time_constant: jax.Array
     exact: bool = eqx.field(static=True)
@@ -95,8 +101,11 @@ class Filter(Activation):
 
 
 class Recruitment(Activation):
-    """The activation of a muscle (Millard et al., 2013): time constants (2,) of activation and
-    deactivation, which depend on a, and the width of a smooth transition between them."""
+    """The activation of a muscle, with time constants (2,) of activation and deactivation.
+
+    The time constants depend on the activation. `width` smooths the transition between them.
+    (Millard et al., 2013)
+    """
 
     time_constants: jax.Array
     width: jax.Array
@@ -167,7 +176,7 @@ class Muscle(Record):
         return [peak, *rest]
 
     def _scaled_length(self, length: Lane, dtype: Any) -> tuple[Lane, Lane]:
-        """Compute L and L0."""
+        """Compute the normalised length L of a muscle, and its optimal length L0."""
         column, limits = table(self.parameters, dtype), table(self.lengthrange, dtype)
         low, high = lane(column, 0), lane(column, 1)
         least, most = lane(limits, 0), lane(limits, 1)

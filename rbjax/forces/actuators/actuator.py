@@ -20,9 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.forces.actuators.activation import Activation, Muscle, clip
-from rbjax.forces.actuators.transmissions import JointAxis, Reach, SiteWrench, Transmission
+from rbjax.forces.actuators.transmissions import (
+    JointAxis,
+    SiteWrench,
+    TendonLength,
+    Transmission,
+)
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.reach import Reach
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
@@ -38,10 +44,10 @@ class Signals:
     h: time step in s; the model's timestep if no step is fixed.
     """
 
-    def __init__(self, now: Context, u: Sequence[Lane], transmission: Transmission):
-        self.u, self.x, self.dtype = u, now.x, now.q.dtype
-        self.h = now.h
-        self._now, self._transmission = now, transmission
+    def __init__(self, context: Context, u: Sequence[Lane], transmission: Transmission):
+        self.u, self.x, self.dtype = u, context.x, context.q.dtype
+        self.h = context.h
+        self._now, self._transmission = context, transmission
 
     @property
     def reach(self) -> Reach:
@@ -60,7 +66,7 @@ class Signals:
 
     @property
     def turn(self) -> Lane:
-        """The change of the length over a full turn."""
+        """The change of the length l when the joint rotates by a full turn."""
         return self._transmission.turn(self.dtype)
 
     def nearest(self, angle: Lane, to: Lane) -> Lane:
@@ -97,7 +103,8 @@ class ForceLaw(Record):
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """Compute the derivatives of the force by l and l' for an implicit step; 0 by default."""
+        """Compute the derivatives of the force by length l and speed l', for an implicit step; 0 by
+        default."""
         return 0.0, 0.0
 
 
@@ -123,20 +130,37 @@ class Actuator(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, now: Context) -> Loads:
-        seen = self._signals(now)
+    def output(self, context: Context) -> Lane:
+        """Compute the scalar force, which the moment arms of the transmission multiply."""
+        return self._output(self._signals(context), context.scales.get(self.tendon, 1.0))
+
+    def _output(self, seen: Signals, scale: Lane) -> Lane:
         limits = table(self.forcerange, seen.dtype)[None]
         force = jnp.asarray(self.law.force(seen), seen.dtype)
-        force = add(clip(force, limits, 0), self.law.friction(seen))
+        force = mul(force, scale)
+        return add(clip(force, limits, 0), self.law.friction(seen))
+
+    def loads(self, context: Context) -> Loads:
+        seen = self._signals(context)
+        force = self._output(seen, context.scales.get(self.tendon, 1.0))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
-    def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
+    @property
+    def tendon(self) -> int:
+        """The tendon that the actuator pulls, or -1."""
+        return self.transmission.tendon if isinstance(self.transmission, TendonLength) else -1
+
+    def force(self, context: Context) -> Lane:
+        """Compute the force of the law, before the limits of its range."""
+        return jnp.asarray(self.law.force(self._signals(context)), context.q.dtype)
+
+    def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:
         """Compute the implicit stiffness of servos and dampers on joints other than attitudes. It
         is zero if the force is at a limit of its range."""
         joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
-        if joint < 0 or now.model.topology.joints[joint].quaternion:
+        if joint < 0 or context.model.topology.joints[joint].quaternion:
             return {}
-        seen = self._signals(now)
+        seen = self._signals(context)
         k, d = self.law.slopes(seen)
         if is_zero(k) and is_zero(d):
             return {}
@@ -145,19 +169,19 @@ class Actuator(Element):
         own = jnp.where(clip(force, limits, 0) == force, jnp.maximum(own, 0.0), 0.0)
         return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
 
-    def rate(self, now: Context) -> Sequence[Lane]:
-        return [0.0] * self.size if now.ctrl is None else self.law.rate(self._signals(now))
+    def rate(self, context: Context) -> Sequence[Lane]:
+        return [0.0] * self.size if context.ctrl is None else self.law.rate(self._signals(context))
 
-    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
-        return now.x if now.ctrl is None else self.law.advanced(self._signals(now), dt)
+    def advance(self, context: Context, dt: Any) -> Sequence[Lane]:
+        return context.x if context.ctrl is None else self.law.advanced(self._signals(context), dt)
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         return self.law.within(list(x), x.dtype, self.transmission.turn)
 
-    def _signals(self, now: Context) -> Signals:
-        limits = table(self.ctrlrange, now.q.dtype)
-        u = [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
-        return Signals(now, u, self.transmission)
+    def _signals(self, context: Context) -> Signals:
+        limits = table(self.ctrlrange, context.q.dtype)
+        u = [clip(context.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
+        return Signals(context, u, self.transmission)
 
 
 _ZERO: Any = np.zeros(1)
@@ -250,8 +274,11 @@ class GainBias(ForceLaw):
         return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
-        """Return the control. If the law is circular and its activation follows the control, shift
-        the control by full turns to be nearest to the activation."""
+        """Return the control u.
+
+        If the law is circular and its activation follows the control, u is shifted by full turns to
+        be nearest to the activation.
+        """
         followed = self.activation is not None and self.activation.follows
         return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]
 

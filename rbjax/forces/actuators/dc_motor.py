@@ -46,7 +46,8 @@ class Windings(Record):
 class Heat(Record):
     """The thermal model of the windings, with the state T - Ta.
 
-    numbers: (5,) RT K/W, C J/K, Ta, alpha 1/K, T0.
+    numbers: (5,) thermal resistance RT K/W, heat capacity C J/K, ambient temperature Ta,
+        temperature coefficient alpha 1/K, reference temperature T0.
     """
 
     numbers: jax.Array
@@ -55,7 +56,8 @@ class Heat(Record):
 class LuGre(Record):
     """The LuGre friction of the bearings. The state z is the deflection of the bristles.
 
-    numbers: (5,) s0, s1, FC, FS, vS.
+    numbers: (5,) bristle stiffness s0 and damping s1, Coulomb force FC, static force FS, Stribeck
+        velocity vS.
     """
 
     numbers: jax.Array
@@ -73,12 +75,13 @@ class LuGre(Record):
         return jnp.exp(-decay * h) * z + pushed * speed
 
     def force(self, z: Lane, speed: Lane, dtype: Any) -> Lane:
-        """Compute the friction force s0 z + s1 z'."""
+        """Compute the friction force s0 z + s1 z' of the bristles with deflection z."""
         stiffness, damping, *_ = numbers(self.numbers, dtype)
         return stiffness * z + damping * self.rate(z, speed, dtype)
 
     def _decay(self, speed: Lane, dtype: Any) -> Lane:
-        """Compute the decay rate s0 |v| / g(v)."""
+        """Compute the decay rate s0 |v| / g(v) of the bristle deflection, with g the Stribeck
+        curve."""
         stiffness, _, coulomb, static, stribeck = numbers(self.numbers, dtype)
         ratio = speed / at_least(stribeck)
         g = coulomb + (static - coulomb) * jnp.exp(-ratio * ratio)
@@ -91,7 +94,8 @@ class DCMotor(ForceLaw):
     cogging: (3,) amplitude, number of poles, phase.
     voltage: whether the last control is a terminal voltage; static.
 
-    The states, if present, are the states of the controller, then T - Ta, z and i.
+    The states are the controller's states, the temperature rise T - Ta, the bristle deflection z
+    and the current i. Absent states are omitted.
     """
 
     windings: Windings
@@ -142,7 +146,7 @@ class DCMotor(ForceLaw):
         return [*self.controller.within(x[:n], dtype), *x[n:]]
 
     def _parts(self, seen: Signals) -> dict[str, Lane]:
-        """Return the states other than the controller's, by name."""
+        """Return the temperature, friction and current states by name."""
         own = [("T", self.heat is not None), ("z", self.bristles is not None)]
         names = [name for name, there in [*own, ("i", self.windings.inductive)] if there]
         return dict(zip(names, seen.x[self.size - len(names) :], strict=True))

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators.activation import Activation, clip
-from rbjax.forces.actuators.transmissions import Arms, add_arms, arms_between, relative_quaternion
+from rbjax.forces.actuators.transmissions import relative_quaternion
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.reach import Arms, add_arms, arms_between
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
 from rbjax.model.leaves import numbers, table
 from rbjax.rotations import quaternion
@@ -55,17 +56,17 @@ class OrientationServo(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, now: Context) -> Loads:
-        current, rows = self._turned(now)
+    def loads(self, context: Context) -> Loads:
+        current, rows = self._turned(context)
         inverse = [current[0], *(-x for x in current[1:])]
-        error = quaternion.log_lanes(quaternion.product(inverse, self._target(now)))
-        kp, constant, kv = numbers(self.gains, now.q.dtype)
+        error = quaternion.log_lanes(quaternion.product(inverse, self._target(context)))
+        kp, constant, kv = numbers(self.gains, context.q.dtype)
         torque = []
         for row, e in zip(rows, error, strict=True):
-            speed = total(mul(arm, now.v[n]) for n, arm in row.items())
+            speed = total(mul(arm, context.v[n]) for n, arm in row.items())
             torque.append(add(add(mul(kp, e), constant), -mul(kv, speed)))
         size = norm(sum(x * x for x in torque))
-        limit = numbers(self.strongest[None], now.q.dtype)[0]
+        limit = numbers(self.strongest[None], context.q.dtype)[0]
         strong = size > limit
         share = jnp.where(strong, limit, 1.0) / jnp.where(strong, size, 1.0)
         tau: Arms = {}
@@ -73,16 +74,16 @@ class OrientationServo(Element):
             tau = add_arms(tau, {n: mul(arm, share * x) for n, arm in row.items()})
         return Loads(tau)
 
-    def rate(self, now: Context) -> Sequence[Lane]:
-        if self.activation is None or now.ctrl is None:
+    def rate(self, context: Context) -> Sequence[Lane]:
+        if self.activation is None or context.ctrl is None:
             return [0.0] * self.size
-        u = zip(self._inputs(now), now.x, strict=True)
+        u = zip(self._inputs(context), context.x, strict=True)
         return [self.activation.rate(u, a) for u, a in u]
 
-    def advance(self, now: Context, dt: Any) -> Sequence[Lane]:
-        if self.activation is None or now.ctrl is None:
-            return now.x
-        return self._nearest(self._next(now, dt))
+    def advance(self, context: Context, dt: Any) -> Sequence[Lane]:
+        if self.activation is None or context.ctrl is None:
+            return context.x
+        return self._nearest(self._next(context, dt))
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         if self.activation is None:
@@ -97,35 +98,35 @@ class OrientationServo(Element):
         share = jnp.where(far, 1 - turns / jnp.where(far, angle, 1.0), 1.0)
         return [x * share for x in phi]
 
-    def _next(self, now: Context, dt: Any) -> list[Lane]:
+    def _next(self, context: Context, dt: Any) -> list[Lane]:
         assert self.activation is not None
-        u = zip(self._inputs(now), now.x, strict=True)
+        u = zip(self._inputs(context), context.x, strict=True)
         return [self.activation.advanced(u, a, dt) for u, a in u]
 
-    def _inputs(self, now: Context) -> list[Lane]:
-        limits = table(self.ctrlrange, now.q.dtype)
-        return [clip(now.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
+    def _inputs(self, context: Context) -> list[Lane]:
+        limits = table(self.ctrlrange, context.q.dtype)
+        return [clip(context.ctrl[k], limits, i) for i, k in enumerate(self.controls)]
 
-    def _target(self, now: Context) -> list[Lane]:
+    def _target(self, context: Context) -> list[Lane]:
         """Compute the quaternion of the target, not normalized."""
         if self.activation is None:
-            u = self._inputs(now)
+            u = self._inputs(context)
             if len(u) == 3:
                 return quaternion.exp_lanes(u)
             none = total(x * x for x in u) < 1e-30
             return [jnp.where(none, 1.0 if k == 0 else 0.0, x) for k, x in enumerate(u)]
-        phi = self._next(now, now.h) if self.early else list(now.x)
+        phi = self._next(context, context.h) if self.early else list(context.x)
         return quaternion.exp_lanes(phi)
 
-    def _turned(self, now: Context) -> tuple[list[Lane], list[Arms]]:
+    def _turned(self, context: Context) -> tuple[list[Lane], list[Arms]]:
         """Compute the orientation as a quaternion, and the moment arms of a torque about each of
         its axes."""
         if self.joint >= 0:
-            top = now.model.topology
+            top = context.model.topology
             at, start = top.joint_v[self.joint], top.joint_q[self.joint]
-            return [now.q[start + k] for k in range(4)], [{at + k: 1.0} for k in range(3)]
-        site, base = now.site(self.site), now.site(self.reference)
+            return [context.q[start + k] for k in range(4)], [{at + k: 1.0} for k in range(3)]
+        site, base = context.site(self.site), context.site(self.reference)
         axes = site.rotation.columns
         rows = [arms_between(site, base, Vec3.zero(), axis) for axis in axes]
         rows = [{n: arm for n, arm in row.items() if not is_zero(arm)} for row in rows]
-        return relative_quaternion(site, base, now.q.dtype), rows
+        return relative_quaternion(site, base, context.q.dtype), rows

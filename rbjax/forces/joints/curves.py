@@ -124,13 +124,13 @@ class JointCurves(Element):
             "breakaway": (n,), "stribeck": (n,), "smoothing": (n,),
         }  # fmt: skip
 
-    def loads(self, now: Context) -> Loads:
-        dtype = now.v.dtype
+    def loads(self, context: Context) -> Loads:
+        dtype = context.v.dtype
         torque, coulomb = table(self.torque, dtype), table(self.coulomb, dtype)
         given = (self.breakaway, self.stribeck, self.smoothing)
         columns, out = [table(x, dtype) for x in given], {}
-        for row, joint in enumerate(map(now.joint, self.joints)):
-            x, _, _ = self._place(now, row)
+        for row, joint in enumerate(map(context.joint, self.joints)):
+            x, _, _ = self._place(context, row)
             c, F = series(_row(torque, row), x), series(_row(coulomb, row), x)
             s, v_s, v_0 = (lane(column, row) for column in columns)
             (v,) = joint.v
@@ -140,22 +140,22 @@ class JointCurves(Element):
             out[joint.start] = neg(add(c, F))
         return Loads(out)
 
-    def energy(self, now: Context) -> Lane:
+    def energy(self, context: Context) -> Lane:
         """Compute the energy, the integral of c from the middle of the range."""
-        torque = table(self.torque, now.q.dtype)
+        torque = table(self.torque, context.q.dtype)
 
         def stored(row: int) -> Lane:
-            x, half, beyond = self._place(now, row)
+            x, half, beyond = self._place(context, row)
             c = _row(torque, row)
             return add(mul(half, integral(c, x)), mul(beyond, series(c, x)))
 
         return total(stored(row) for row in range(len(self.joints)))
 
-    def _place(self, now: Context, row: int) -> tuple[Lane, Lane, Lane]:
+    def _place(self, context: Context, row: int) -> tuple[Lane, Lane, Lane]:
         """Compute x clipped to [-1, 1], half the range, and the distance beyond the range."""
-        ends = table(self.range, now.q.dtype)
+        ends = table(self.range, context.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
-        (q,) = now.joint(self.joints[row]).q
+        (q,) = context.joint(self.joints[row]).q
         half, inside = (high - low) / 2, jnp.clip(q, low, high)
         return (inside - low) / half - 1.0, half, q - inside
 

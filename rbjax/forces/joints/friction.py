@@ -91,14 +91,14 @@ class JointFriction(Element):
         names = ("coulomb", "breakaway", "stribeck", "smoothing", "viscous")
         return dict.fromkeys([k for k in names if getattr(self, k) is not None], (n,))
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         breakaway = self.coulomb if self.breakaway is None else self.breakaway
         given = (self.coulomb, breakaway, self.stribeck, self.smoothing, self.viscous)
-        columns = [table(x, now.v.dtype) for x in given]
+        columns = [table(x, context.v.dtype) for x in given]
         falls = self.breakaway is not None
         tau = {
             i: _friction(v, [lane(x, n) for x in columns], falls)
-            for n, (i, v) in enumerate(now.dofs(self.joints))
+            for n, (i, v) in enumerate(context.dofs(self.joints))
         }
         return Loads(tau)
 
@@ -167,11 +167,11 @@ class GearLoss(Element):
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("loss", "smoothing"), (coordinates(model, self.joints),))
 
-    def loads(self, now: Context) -> Loads:
-        loss, smoothing = (table(x, now.v.dtype) for x in (self.loss, self.smoothing))
+    def loads(self, context: Context) -> Loads:
+        loss, smoothing = (table(x, context.v.dtype) for x in (self.loss, self.smoothing))
         out: dict[int, Lane] = {}
-        for n, (i, v) in enumerate(now.dofs(self.joints)):
-            motor = now.driven.get(i, 0.0)
+        for n, (i, v) in enumerate(context.dofs(self.joints)):
+            motor = context.driven.get(i, 0.0)
             if not is_zero(motor):
                 share = mul(jnp.abs(motor), jnp.tanh(v / lane(smoothing, n)))
                 out[i] = neg(mul(lane(loss, n), share))

@@ -77,9 +77,9 @@ class JointLimits(Element):
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("stiffness", "damping", "margin", "width"), (len(self.joints),))
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         out: dict[int, Lane] = {}
-        for n, joint, depth, along in self._stops(now):
+        for n, joint, depth, along in self._stops(context):
             k, d, w = (_entry(x, n, depth) for x in (self.stiffness, self.damping, self.width))
             rate = inner(along, joint.v)
             f = stop_force(depth, rate, k, d, w)
@@ -90,23 +90,23 @@ class JointLimits(Element):
     # No `implicit_stiffness`: with it, variational steps much longer than sqrt(m / k) converge to a
     # rebound that gains speed. Without it they do not converge, and `Trajectory.ok` is False.
 
-    def energy(self, now: Context) -> Lane:
-        """Compute the energy, the sum of k S(p)."""
+    def energy(self, context: Context) -> Lane:
+        """Compute the potential energy of the stops, J."""
         return total(
             stop_energy(depth, *(_entry(x, n, depth) for x in (self.stiffness, self.width)))
-            for n, _, depth, _ in self._stops(now)
+            for n, _, depth, _ in self._stops(context)
         )
 
-    def _stops(self, now: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
+    def _stops(self, context: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
         """Iterate over the stops: index of the joint among the fields, joint, penetration, and the
         direction of increasing penetration."""
-        given = (now.model.joints.range, self.stiffness, self.margin)
-        ranges, stiffness, margins = (table(x, now.q.dtype) for x in given)
+        given = (context.model.joints.range, self.stiffness, self.margin)
+        ranges, stiffness, margins = (table(x, context.q.dtype) for x in given)
         for n, name in enumerate(self.joints):
-            joint = now.joint(name)
+            joint = context.joint(name)
             if is_zero(lane(stiffness, n)):
                 continue
-            index = now.model.joint(name)
+            index = context.model.joint(name)
             low, high = lane(ranges[:, 0], index), lane(ranges[:, 1], index)
             margin = lane(margins, n)
             x, axis = _coordinate(joint)

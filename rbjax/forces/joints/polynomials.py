@@ -73,13 +73,13 @@ class JointPolynomials(Element):
             "damping": (coordinates(model, self.joints), None),
         }
 
-    def loads(self, now: Context) -> Loads:
+    def loads(self, context: Context) -> Loads:
         out: dict[int, Lane] = {}
-        for coefficients, at, x in self._springs(now):
+        for coefficients, at, x in self._springs(context):
             k = self._polynomial(coefficients, x)
             out |= {at + i: neg(mul(k, y)) for i, y in enumerate(x)}
-        damping, row = table(self.damping, now.v.dtype), 0
-        for joint in map(now.joint, self.joints):
+        damping, row = table(self.damping, context.v.dtype), 0
+        for joint in map(context.joint, self.joints):
             for i, v in enumerate(joint.v, joint.start):
                 coefficients = _row(damping, row)
                 if not all(map(is_zero, coefficients)):
@@ -89,37 +89,37 @@ class JointPolynomials(Element):
                 row += 1
         return Loads(out)
 
-    def implicit_stiffness(self, now: Context, h: Any) -> dict[int, Lane]:
+    def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:
         """Compute the implicit stiffness of the linear terms."""
         if self.lowest:
             return {}
-        stiffness, damping = (table(x, now.v.dtype) for x in (self.stiffness, self.damping))
+        stiffness, damping = (table(x, context.v.dtype) for x in (self.stiffness, self.damping))
         out: dict[int, Lane] = {}
-        for row, joint in enumerate(map(now.joint, self.joints)):
+        for row, joint in enumerate(map(context.joint, self.joints)):
             spring = mul(h * h / 4, lane(stiffness[:, 0], row))
             for i in range(joint.start, joint.start + len(joint.v)):
                 out[i] = add(mul(h / 2, lane(damping[:, 0], len(out))), spring)
         return out
 
-    def energy(self, now: Context) -> Lane:
-        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...)."""
+    def energy(self, context: Context) -> Lane:
+        """Compute the potential energy of the springs, J."""
 
         def stored(coefficients: Sequence[Lane], x: Sequence[Lane]) -> Lane:
             shares = [mul(1 / n, k) for n, k in enumerate(coefficients, self.lowest + 2)]
             return mul(self._polynomial(shares, x), inner(x, x))
 
-        return total(stored(coefficients, x) for coefficients, _, x in self._springs(now))
+        return total(stored(coefficients, x) for coefficients, _, x in self._springs(context))
 
-    def _springs(self, now: Context) -> list[tuple[list[Lane], int, list[Lane]]]:
+    def _springs(self, context: Context) -> list[tuple[list[Lane], int, list[Lane]]]:
         """List the coefficients, first dof and displacement of each spring. A free joint has one
         spring for its translation and one for its rotation."""
-        stiffness, out = table(self.stiffness, now.q.dtype), []
+        stiffness, out = table(self.stiffness, context.q.dtype), []
         for row, name in enumerate(self.joints):
             coefficients = _row(stiffness, row)
             if all(map(is_zero, coefficients)):
                 continue
-            index = now.model.joint(name)
-            x, at = displacement(now, index), now.model.topology.joint_v[index]
+            index = context.model.joint(name)
+            x, at = displacement(context, index), context.model.topology.joint_v[index]
             out += [(coefficients, at + i, x[i : i + 3]) for i in range(0, len(x), 3)]
         return out
 
@@ -140,12 +140,14 @@ def linear_springs(model: Model) -> JointPolynomials:
     return JointPolynomials(stiffness, damping, (*range(len(model.joint_names)),), lowest=0)
 
 
-def displacement(now: Context, joint: int) -> list[Lane]:
+def displacement(context: Context, joint: int) -> list[Lane]:
     """Compute the displacement of a joint from its spring reference, in the coordinates of v."""
-    top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
+    top, rest = context.model.topology, table(context.model.joints.springref, context.q.dtype)
     kind, start = top.joints[joint], top.joint_q[joint]
     at = range(start, start + kind.nq)
-    return difference_lanes(_OneJoint((kind,)), [lane(rest, i) for i in at], [now.q[i] for i in at])
+    return difference_lanes(
+        _OneJoint((kind,)), [lane(rest, i) for i in at], [context.q[i] for i in at]
+    )
 
 
 class _OneJoint(NamedTuple):

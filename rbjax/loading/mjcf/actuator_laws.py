@@ -170,8 +170,10 @@ def write_activation(activation: Activation | None, early: bool) -> dict[str, st
 
 
 def _unscaled(law: GainBias) -> GainBias:
-    """Set the peak force of muscles to its value. A file does not contain the acceleration from
-    which MuJoCo computes it."""
+    """Set the peak force of muscles to its value.
+
+    MuJoCo computes it from an acceleration that a file does not contain.
+    """
 
     def unscaled(curve: Any) -> Any:
         if not isinstance(curve, (Active, Passive)) or not curve.muscle.scaled:

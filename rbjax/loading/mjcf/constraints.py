@@ -29,7 +29,7 @@ from rbjax.constraints import (
     Weld,
 )
 from rbjax.errors import ModelError
-from rbjax.loading.mjcf.fields import Off, is_on, leaf
+from rbjax.loading.mjcf.fields import Off, is_on, leaf, safe_solref
 from rbjax.loading.write.draft import Draft, place_in_body, text
 from rbjax.model import WORLD, Model
 
@@ -93,9 +93,7 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
-    solref = m.eq_solref[i].copy()
-    if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
-        solref[0] = max(solref[0], 2 * m.opt.timestep)
+    solref = safe_solref(m, m.eq_solref[i])
     solref, solimp, weight = map(leaf, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
     return Soft(one, solref, solimp, weight, bias=not isinstance(one, JointPolynomial))
 

@@ -10,9 +10,9 @@ import mujoco
 def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     """Return the pairs of geoms that may collide, the geom of the earlier type first.
 
-    The pairs of `<pair>` come first. All other pairs need matching masks. Excluded are geoms of one
-    rigid body, of a body and its parent unless the parent is fixed, and the pairs of `<exclude>`.
-    (MuJoCo, *Computation*, "Collision detection".)
+    The pairs of `<pair>` come first, as often as the file gives them. All other pairs need matching
+    masks. Excluded are geoms of one rigid body, of a body and its parent unless the parent is
+    fixed, and the pairs of `<exclude>`. (MuJoCo, *Computation*, "Collision detection".)
     """
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit
     if off & (bit.mjDSBL_CONTACT | bit.mjDSBL_CONSTRAINT):
@@ -35,8 +35,9 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
         return not excluded & {(body[a], body[b]), (body[b], body[a])}
 
     every = itertools.combinations(range(m.ngeom), 2)
-    others = [_in_order(m, a, b) for a, b in every if may_touch(a, b)]
-    return tuple(dict.fromkeys([*named, *others]))
+    others = (_in_order(m, a, b) for a, b in every if may_touch(a, b))
+    known = set(named)
+    return (*named, *(pair for pair in others if pair not in known))
 
 
 def _in_order(m: mujoco.MjModel, a: int, b: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Force elements of a compiled model: joints, gravity compensation, tendons, fluid.
+"""Force elements of a compiled model: joints, gravity compensation, fluid.
 
 Limits and friction loss are soft constraints in MuJoCo:
 
@@ -32,14 +32,20 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
-    Place,
-    PointSpring,
 )
+from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
-from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
-from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected
+from rbjax.loading.mjcf.dropped import inverted_limits
+from rbjax.loading.mjcf.fields import (
+    ALIGNED,
+    Off,
+    inertial_frame,
+    is_on,
+    leaf,
+    reflected,
+    safe_solref,
+)
 
-_IMPEDANCES = (1e-4, 0.9999)  # MuJoCo's range of d
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
 
@@ -50,14 +56,14 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
         found += _limits(m)
     if friction and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_FRICTIONLOSS):
         found += _friction(m)
-    found += [*_gravity_compensation(m), *_tendons(m), *fluid_elements(m)]
+    found += [*_gravity_compensation(m), *fluid_elements(m)]
     for element in found:
         check_finite(element)
     return tuple(found)
 
 
 def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """Return the dofs of joints, in the joints' order."""
+    """Return the indices of the dofs of joints, in the order of the joints."""
     spans = [m.jnt_dofadr[j] + np.arange(_SIZES.get(int(m.jnt_type[j]), 1)) for j in joints]
     return np.concatenate([np.zeros(0, int), *spans])
 
@@ -89,8 +95,9 @@ def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
     impedance's width."""
     mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
     width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
-    k, b = _reference(m, m.jnt_solref[joint], m.jnt_solimp[joint])
-    d = _impedance(m.jnt_solimp[joint], width / 2)
+    solref, solimp = safe_solref(m, m.jnt_solref[joint]), m.jnt_solimp[joint]
+    k, b = stiffness_and_damping(solref, solimp)
+    d = impedance(width / 2, solimp)
     stiffness = d * d * k / ((1 - d) * mobility)
     ratio = b / (2 * np.sqrt(k))
     return stiffness, 2 * ratio * np.sqrt(stiffness / mobility), max(width / 10, 1e-6)
@@ -103,8 +110,9 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
     at = _of(m, joints)
     loss, creep = m.dof_frictionloss[at], []
     for i in at:
-        d = _impedance(m.dof_solimp[i], 0.0)
-        soft = (1 - d) / d / _reference(m, m.dof_solref[i], m.dof_solimp[i])[1]
+        d = impedance(0.0, m.dof_solimp[i])
+        _, damping = stiffness_and_damping(safe_solref(m, m.dof_solref[i]), m.dof_solimp[i])
+        soft = (1 - d) / d / max(damping, mujoco.mjMINVAL)
         creep.append(m.dof_invweight0[i] * max(soft, 2 * m.opt.timestep))
     return [
         JointFriction(
@@ -116,34 +124,6 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
             joints=tuple(joints.tolist()),
         )
     ]
-
-
-def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tuple[float, float]:
-    """Compute k and b of a_ref = -b v - k d r."""
-    top = float(np.clip(solimp[1], *_IMPEDANCES))
-    if solref[0] <= 0:
-        return -solref[0] / top**2, -solref[1] / top
-    time, ratio = solref
-    if is_on(m, Off.mjDSBL_REFSAFE):
-        time = max(time, 2 * m.opt.timestep)
-    return 1 / max(mujoco.mjMINVAL, (top * time * ratio) ** 2), 2 / max(mujoco.mjMINVAL, top * time)
-
-
-def _impedance(solimp: np.ndarray, depth: float) -> float:
-    """Compute the impedance d at a depth. It rises from solimp's first number to its second over
-    the width, by two power functions that meet at the midpoint."""
-    low, high = np.clip(solimp[:2], *_IMPEDANCES)
-    width, middle = max(solimp[2], 0.0), float(np.clip(solimp[3], *_IMPEDANCES))
-    power = max(solimp[4], 1.0)
-    if low == high or width <= mujoco.mjMINVAL:
-        return float(low + high) / 2
-    x = min(depth / width, 1.0)
-    share = x
-    if power > 1 and x < 1:
-        near = x <= middle
-        share = x**power / middle ** (power - 1)
-        share = share if near else 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
-    return float(low + share * (high - low))
 
 
 def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
@@ -164,24 +144,7 @@ def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
     return found
 
 
-def _tendons(m: mujoco.MjModel) -> list[Element]:
-    """Read the springs and dampers of spatial tendons between two sites."""
-    found: list[Element] = []
-    for i in filter(lambda i: tendon_is_supported(m, i), range(m.ntendon)):
-        stiffness = np.array([m.tendon_stiffness[i], *m.tendon_stiffnesspoly[i]])
-        damping = np.array([m.tendon_damping[i], *m.tendon_dampingpoly[i]])
-        stiffness *= is_on(m, Off.mjDSBL_SPRING)
-        damping *= is_on(m, Off.mjDSBL_DAMPER)
-        if stiffness.any() or damping.any():
-            start = m.tendon_adr[i]
-            a, b = (Place.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
-            numbers = (stiffness, damping, m.tendon_lengthspring[i])
-            found.append(PointSpring(a, b, *map(jnp.asarray, numbers)))
-    return found
-
-
 Array = np.ndarray
-_ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
@@ -241,23 +204,14 @@ def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
     return np.array(axes.get(int(m.geom_type[g]), m.geom_size[g]))
 
 
-def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
-    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
-    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
-    if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
-    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
-    return m.body_ipos[b], m.body_iquat[b] if turned else _ALIGNED
-
-
 def _geom_frame(m: mujoco.MjModel, g: int) -> tuple[Array, Array]:
     """Return the frame of a geom in its body as MuJoCo uses it."""
     same, kinds = int(m.geom_sameframe[g]), mujoco.mjtSameFrame
     position, attitude = inertial_frame(m, m.geom_bodyid[g])
     if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
+        return np.zeros(3), ALIGNED
     if same == int(kinds.mjSAMEFRAME_INERTIA):
         return position, attitude
     if same == int(kinds.mjSAMEFRAME_BODYROT):
-        return m.geom_pos[g], _ALIGNED
+        return m.geom_pos[g], ALIGNED
     return m.geom_pos[g], attitude if same == int(kinds.mjSAMEFRAME_INERTIAROT) else m.geom_quat[g]

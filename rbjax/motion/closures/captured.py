@@ -143,7 +143,7 @@ def _say(function: str, how: str) -> None:
 
 
 def _site(f: Any) -> Any:
-    """Return a key of the code location of a function."""
+    """Return the code location of a function, as a cache key."""
     while isinstance(f, functools.partial):
         f = f.func
     f = getattr(f, "__func__", f)

@@ -131,7 +131,7 @@ def check_map(where: str, field: Any, footprint: Any) -> None:
 
 
 def _checks_map(f: Callable) -> Callable:
-    """Check the field and the footprint before JAX sees them."""
+    """Decorate a function to check the field and the footprint before JAX traces it."""
 
     @functools.wraps(f)
     def call(field: Any, poses: Any, footprint: Any) -> jax.Array:

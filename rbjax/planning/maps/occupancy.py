@@ -67,7 +67,10 @@ class DistanceField(Record):
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute the nearest position within the centres, in cells, and its distance in m."""
+        """Clamp points (..., 2) to the rectangle of the cell centres.
+
+        Return the indices along x and y, and the distance of each point from the rectangle, m.
+        """
         nx, ny = self.values.shape
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
@@ -134,11 +137,12 @@ class OccupancyGrid(Record):
         return self.origin + self.resolution * (cells + 0.5)
 
     def distance_field(self, closed: bool = True) -> DistanceField:
-        """Compute the exact signed distances. closed: whether cells beyond the map count as
-        occupied.
+        """Compute the exact signed distances from the obstacles.
 
         It requires nx^2 ny operations, and may be used in `jit` and `vmap`. For a map of known
         values the result is cached.
+
+        closed: whether cells beyond the map count as occupied.
         """
         if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(self)):
             return _distance_field(self, closed=closed)

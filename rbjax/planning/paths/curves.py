@@ -76,7 +76,10 @@ def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
 
 
 def shortest(table: Any, wrap: Any, start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
-    """Compute the shortest path among the words of a table. It is for use in traced code."""
+    """Compute the shortest path among all candidates of a table of words, in traced code.
+
+    table: `DUBINS` or `REEDS_SHEPP`. wrap: `forwards` or `either_way`.
+    """
     dx, dy = (goal[..., i] - start[..., i] for i in (0, 1))
     heading, phi = start[..., 2], goal[..., 2] - start[..., 2]
     c, s = jnp.cos(heading), jnp.sin(heading)

@@ -91,7 +91,7 @@ class _Problem(NamedTuple):
         return jnp.where(self.arcs[:, None], arcs, self.path.steps)
 
     def residuals(self, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Compute the residuals of the cost, and the end's deviation (3,), m."""
+        """Compute the residuals of the cost, and the deviation (3,) of the end from the goal, m."""
         poses = chain(self.path.start, self.steps(z))
         share = jnp.sqrt(self.unit / self.radius)  # zero for padding
         jump = jnp.where(self.same, z[1, 1:] - z[1, :-1], 0.0)

@@ -49,7 +49,7 @@ class Word(NamedTuple):
 
 
 def _polar(x, y):
-    """Compute r and theta of a point, with derivatives of zero at the origin."""
+    """Compute the polar coordinates (r, theta) of a point, with zero derivatives at the origin."""
     square = x * x + y * y
     origin = square == 0
     r = jnp.where(origin, 0.0, jnp.sqrt(jnp.where(origin, 1.0, square)))
@@ -102,7 +102,7 @@ def _lrl(x, y, phi):  # 8.3 and 8.4
 
 
 def _ends(u, v, xi, eta, phi):
-    """Compute the lengths of the outer arcs of four arcs whose inner ones are u and v."""
+    """Compute the lengths of the outer arcs of a word of four arcs with inner arcs u and v."""
     delta = u - v
     a, b = jnp.sin(u) - jnp.sin(delta), jnp.cos(u) - jnp.cos(delta) - 1
     _, t = _polar(xi * a + eta * b, eta * a - xi * b)

@@ -68,20 +68,23 @@ def hybrid_a_star(
     max_count: int | None = None,
     root: str | None = None,
 ) -> Plan:
-    """Search a cheap path from a pose exactly to another: controls, then one direct connection.
+    """Search for a low-cost path that ends exactly at the goal pose, by hybrid A*.
+
+    The path is a sequence of controls, followed by one direct motion to the goal.
 
     Args:
         grid: the map. Cells beyond it count as occupied.
         footprint: the area that the robot covers.
         start, goal: poses (3,): x and y in m, the heading in rad.
-        controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt. The
-            smallest turning radius must be the same to the left and to the right.
+        controls: the turn of each is a multiple of 2 pi / headings, and each motion of length dt is
+            longer than a cell. The smallest turning radius must be the same to the left and to the
+            right.
         headings: the number of cells of a full turn.
         cell: the side of a cell, m; None for the map's resolution.
-        weight: at least 1. The price is at most `weight` times the least price. A larger weight
+        weight: at least 1. The cost is at most `weight` times the least cost. A larger weight
             expands fewer cells.
-        max_count: the largest number of nodes to expand; None for no limit. If it is exhausted,
-            the result is the best path so far, if there is one.
+        max_count: the largest number of nodes to expand; None for no limit. If it is exhausted, the
+            result is the best path so far, if there is one.
         root: "start" or "goal", the end from which the search grows; None for the end with less
             clearance.
 
@@ -151,7 +154,8 @@ def grid_a_star(
     max_count: int | None = None,
     weight: float = 1.0,
 ) -> Plan:
-    """Search a cheap sequence of controls to one goal, with fewer cells than `grid_dijkstra`.
+    """Search for a low-cost sequence of controls to a goal, which visits fewer cells than
+    `grid_dijkstra`.
 
     On a lattice, where all nodes of a cell coincide, the cost is the same as by `grid_dijkstra`.
     Otherwise another node may represent a cell, and the cost may be slightly lower or higher.
@@ -235,7 +239,12 @@ class _AStar(WaveSearch):
         self, distances: DistanceField, footprint: Footprint, controls: Controls, ends: np.ndarray,
         headings: int, side: float, weight: float, ending: DirectMotion | GoalSet,
     ):  # fmt: skip
-        """Prepare a search. ends (2, 3): the poses of the root and of the target."""
+        """Prepare a search.
+
+        ends: (2, 3), the poses of the root and of the target.
+        side: the side of a cell, m. weight: factor of the lower bound in the priority f of a node.
+        ending: the condition or last motion that ends the search.
+        """
         spacing = float(distances.resolution) / 2
         table = MotionTable.of(controls, footprint, ends[0, 2], headings, spacing)
         super().__init__(distances, controls, table, ends[0], side, np.int32(NEVER))
@@ -272,8 +281,7 @@ class _AStar(WaveSearch):
         return self.plan(*self.end)
 
     def around(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Compute the lower bound of the price to the target by the shortest path around
-        obstacles."""
+        """Compute a lower bound of the cost to the target: the shortest path around obstacles."""
         return self.ending.rate * np.maximum(self.holonomic(x, y) - self.ending.near, 0.0)
 
     def put(self, nodes: _Nodes, f: np.ndarray) -> None:
@@ -281,8 +289,10 @@ class _AStar(WaveSearch):
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:
-        """Remove and return nodes of least f that represent their cells, and their last interval of
-        f."""
+        """Remove and return the nodes of lowest priority value f that represent their cells.
+
+        Also return the last interval of f that they are in.
+        """
         some: list[_Nodes] = []
         number = 0
         for interval in sorted(self.open):
@@ -315,8 +325,11 @@ class _AStar(WaveSearch):
         return take(nodes, ~later)
 
     def test(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
-        """Test for obstacles the `most` connections of the lowest cost, `price`. Keep the others
-        for a test when OPEN is empty. `steps` are the motions of the connections."""
+        """Test the `most` cheapest connections for collisions.
+
+        The other connections are stored, and tested when OPEN is empty.
+        steps: the motions of the connections. price: their costs.
+        """
         wanted = np.flatnonzero(price < self.price)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
         if len(wanted) > most:
@@ -349,7 +362,8 @@ class _AStar(WaveSearch):
         self.put(take(new, kept), new.g[kept] + self.weight * h.ravel()[wanted[kept]])
 
     def plan(self, last: _Nodes, connection: np.ndarray) -> tuple[Plan, np.ndarray]:
-        """Make the plan that ends by a connection. Return it with its steps (n, 3)."""
+        """Make the plan through a node and its connection to the target. Return it with the path's
+        steps (n, 3)."""
         poses, controls = self.way_to(last)
         size = np.abs(connection).max(1, initial=0.0)
         ends = connection[size > 1e-12 * (1 + size.max(initial=0.0))]

@@ -63,7 +63,10 @@ class GoalSet:
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return bounds of zero, empty connections (m, 0, 3), and prices 0 or infinity (m,)."""
+        """Return lower bounds of 0 (m,), empty connections (m, 0, 3), and costs (m,).
+
+        The cost is 0 for a pose in the goal set, and infinite for other poses.
+        """
         off = poses - goal
         there = np.hypot(off[:, 0], off[:, 1]) <= self.near
         there &= np.abs(_reduced(off[:, 2])) <= self.turn
@@ -103,7 +106,10 @@ class DirectMotion:
         return 1 / tight[0]
 
     def _rates(self) -> np.ndarray:
-        """Compute prices per metre (3, 3) by gear and bend, infinite without a control."""
+        """Compute the least cost per metre (3, 3) by sign of the speed and sign of the curvature.
+
+        It is infinite if no control has these signs.
+        """
         rates = np.full((3, 3), np.inf)
         for step, cost in zip(self.controls.steps, self.controls.costs, strict=True):
             way = math.hypot(step[0], step[1])

@@ -193,7 +193,8 @@ def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Co
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """Table of all motions from the origin, by initial heading first + 2 pi k / K and by control.
+    """Table of the motions of all controls from the origin, for each initial heading first + 2 pi k
+    / K.
 
     Fields:
         headings: (K,), rad.

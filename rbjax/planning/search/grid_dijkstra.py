@@ -69,7 +69,8 @@ def grid_dijkstra(
         grid: the map. Cells beyond it count as occupied.
         footprint: the area that the robot covers.
         start, goal: poses (3,): x and y in m, the heading in rad.
-        controls: each turns by a multiple of 2 pi / headings, and leaves a cell in its dt.
+        controls: the turn of each is a multiple of 2 pi / headings, and each motion of length dt is
+            longer than a cell.
         tolerance: of the goal set: distance from the goal in m, angle from its heading in rad.
         headings: the number of cells of a full turn.
         max_count: the largest number of cells to visit; None for no limit.

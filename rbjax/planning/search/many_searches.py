@@ -275,7 +275,11 @@ def grid_dijkstra_many(
 
 
 def _first_state(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
-    """Make the state before the first wave, in which the starts are the only nodes."""
+    """Make the state of all searches before the first wave. The only nodes are the starts.
+
+    bad: (q,), whether a start or goal is in collision. room: the number of nodes to allocate.
+    dearest: the largest cost of a step.
+    """
     q, zero = len(bad), jnp.zeros(len(bad), jnp.int32)
     search = jnp.arange(q, dtype=jnp.int32)
     x, y = p.start[:, 0], p.start[:, 1]

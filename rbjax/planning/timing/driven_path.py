@@ -93,30 +93,30 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
     return y + h * jax.lax.scan(stage, (zero, zero), weights)[0][1]
 
 
-def torques_for(vehicle: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
+def torques_for(model: RobotModel, limits: Limits, q, v, rates, turning) -> jax.Array:
     """Compute the torques (drives,) for velocity rates (nv,) and given steering rates."""
-    drives = len(vehicle.robot.drives)
+    drives = len(model.robot.drives)
 
     def accelerations(tau):
-        now = vehicle.context(State(q, v), jnp.concatenate([tau, turning]))
-        return stack_lanes(vehicle.accelerations(now), q.dtype)
+        context = model.context(State(q, v), jnp.concatenate([tau, turning]))
+        return stack_lanes(model.accelerations(context), q.dtype)
 
     none = jnp.zeros(drives, q.dtype)
-    most = limits.torques(vehicle).astype(q.dtype)
+    most = limits.torques(model).astype(q.dtype)
     short = rates - accelerations(none)
     G = jax.jacfwd(accelerations)(none) * most
-    if drives == vehicle.nv:
+    if drives == model.nv:
         return most * jnp.linalg.solve(G, short)
     return most * (G.T @ jnp.linalg.solve(G @ G.T, short))
 
 
-def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
+def drive_along(model: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     """Compute the coordinates and torque coefficients along one path, with steerings initially
     straight. Steps of zeros have no effect."""
-    robot, steps = vehicle.robot, path.steps
+    robot, steps = model.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
-    unit = jnp.stack([one, one, reach_of(vehicle, dtype)])
+    unit = jnp.stack([one, one, reach_of(model, dtype)])
     size = _norm(steps * unit)
     moves = size > 0
     twist = steps / jnp.where(moves, size, 1.0)[:, None]
@@ -132,7 +132,7 @@ def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
             jnp.where(jnp.roll(stops, -1)[:, None], twist, (twist + after) / 2),
         ]
     )
-    angles = _angles(vehicle, ends)
+    angles = _angles(model, ends)
     straight = jnp.zeros_like(angles[0, :1])
     turns = angles[0] - jnp.concatenate([straight, angles[1, :-1]])
     turns = jnp.where(stops[:, None], turns, 0.0)
@@ -140,19 +140,19 @@ def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     bends = jnp.where(moves[:, None], (angles[1] - angles[0]) / width, 0.0)
 
     def velocities(twist, angle):
-        q = jnp.zeros(vehicle.nq, dtype).at[steerings].set(angle)
-        return with_twist(vehicle, q, twist).v
+        q = jnp.zeros(model.nq, dtype).at[steerings].set(angle)
+        return with_twist(model, q, twist).v
 
     nu = jax.vmap(jax.vmap(velocities))(ends, angles)
-    start = jnp.zeros(vehicle.nq, dtype).at[:3].set(path.start.astype(dtype))
-    q = _coordinates(vehicle, start, size, turns, bends, nu)
+    start = jnp.zeros(model.nq, dtype).at[:3].set(path.start.astype(dtype))
+    q = _coordinates(model, start, size, turns, bends, nu)
     slope = (nu[1] - nu[0]) / width
 
     def linear(q, nu, slope, bend):
         def torques(rate, x):
             root = jnp.sqrt(x)
             rates = nu * rate + slope * x
-            return torques_for(vehicle, limits, q, nu * root, rates, bend * root)
+            return torques_for(model, limits, q, nu * root, rates, bend * root)
 
         units = jnp.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], dtype)
         C, A, B = jax.vmap(torques)(*units)
@@ -163,9 +163,9 @@ def drive_along(vehicle: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     return DrivenPath(size, stops, turns, bends, *sides)
 
 
-def reach_of(vehicle: RobotModel, dtype) -> jax.Array:
+def reach_of(model: RobotModel, dtype) -> jax.Array:
     """Compute the largest distance of a wheel of the chassis from its origin, m."""
-    places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
+    places = [jnp.asarray(w.position, dtype) for w in model.robot.wheels if w.body == 0]
     return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
 
 
@@ -175,26 +175,27 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Replace unknown rows of (n, k) by the last known row, or else by the first known row."""
+    """Fill unknown rows of an array (n, k) with the last known row, or else with the first known
+    row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]
 
 
-def _angles(vehicle: RobotModel, twists: jax.Array) -> jax.Array:
-    if not vehicle.robot.steerings:
+def _angles(model: RobotModel, twists: jax.Array) -> jax.Array:
+    if not model.robot.steerings:
         return jnp.zeros((*twists.shape[:-1], 0), twists.dtype)
-    return jax.vmap(jax.vmap(lambda x: commands(vehicle.robot, x).angles))(twists)
+    return jax.vmap(jax.vmap(lambda x: commands(model.robot, x).angles))(twists)
 
 
-def _coordinates(vehicle: RobotModel, start, size, turns, bends, nu) -> jax.Array:
+def _coordinates(model: RobotModel, start, size, turns, bends, nu) -> jax.Array:
     """Integrate the coordinates along the path: (2, n, nq), at the begin and end of each step."""
-    at = vehicle.robot.layout.steerings
-    drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
+    at = model.robot.layout.steerings
+    drives = jnp.zeros(len(model.robot.drives), start.dtype)
 
     def slope(q, v, bend):
-        now = vehicle.context(State(q, v), jnp.concatenate([drives, bend]))
-        return stack_lanes(vehicle.coordinate_rates(now), q.dtype)
+        context = model.context(State(q, v), jnp.concatenate([drives, bend]))
+        return stack_lanes(model.coordinate_rates(context), q.dtype)
 
     def over(q, step):
         size, turn, bend, nu0, nu1 = step

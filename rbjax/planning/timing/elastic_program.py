@@ -22,7 +22,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes.arrays import smallest
+from rbjax.lanes.arrays import select, smallest
 
 SHORT = 0.99  # fraction of the longest step that keeps all positive variables positive
 FIRST = 0.1  # initial slack
@@ -68,7 +68,8 @@ def solve(
         return _Point(d, y, s, *(x + b * dx for x, dx in zip(p[3:], step[3:], strict=True)))
 
     def longest(p: _Point, step: _Point) -> tuple[jax.Array, jax.Array]:
-        """Compute the longest steps of (d, y, s) and of the multipliers that keep all positive."""
+        """Compute the longest steps of (d, y, s) and of the multipliers that keep all of them
+        positive."""
         rates = [
             (step.y, step.l), (step.s, -step.l), (step.d, step.zl), (-step.d, step.zu)
         ]  # fmt: skip
@@ -109,7 +110,7 @@ def solve(
         a, b = longest(p, full)
         new = moved(p, full, SHORT * a, SHORT * b)
         fine = jnp.isfinite(new.d).all() & (now > 4 * jnp.finfo(c.dtype).eps)
-        return jax.tree.map(lambda x, z: jnp.where(fine, x, z), new, p), None
+        return select(fine, new, p), None
 
     d = (low + high) / 2
     over = jnp.maximum(G @ d - g, 0.0)

@@ -55,28 +55,28 @@ class Limits(Record):
     def may_be_infinite(self, name: str) -> bool:
         return name != "torque"
 
-    def torques(self, vehicle: RobotModel) -> jax.Array:
+    def torques(self, model: RobotModel) -> jax.Array:
         """Return the largest torques (drives,), N m."""
-        return jnp.broadcast_to(self.torque, (len(vehicle.robot.drives),))
+        return jnp.broadcast_to(self.torque, (len(model.robot.drives),))
 
 
-def check_can_follow(where: str, vehicle: Any, limits: Any) -> None:
+def check_can_follow(where: str, model: Any, limits: Any) -> None:
     """Raise `InputError` unless a robot has torques for every path, and its limits are valid.
 
     The robot must roll and have inertia. Its motors must be torque sources, with at least as many
     drives as free velocities. Its steerings must have no lag and a finite rate limit.
     """
-    if not isinstance(vehicle, Rolling):
+    if not isinstance(model, Rolling):
         raise InputError(
-            f"{where}: vehicle is {type(vehicle).__name__}, expected a robot that rolls and has "
+            f"{where}: model is {type(model).__name__}, expected a robot that rolls and has "
             'inertia, as rbjax.wheeled.at(robot, "kinematical") gives it'
         )
     if not isinstance(limits, Limits):
         raise InputError(
             f"{where}: limits is {type(limits).__name__}, expected rbjax.planning.Limits"
         )
-    robot = vehicle.robot
-    drives, nv = len(robot.drives), vehicle.nv
+    robot = model.robot
+    drives, nv = len(robot.drives), model.nv
     if jnp.shape(limits.torque) not in ((), (drives,)):
         raise InputError(
             f"{where}: limits.torque has shape {jnp.shape(limits.torque)}, expected () or "

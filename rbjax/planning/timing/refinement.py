@@ -106,7 +106,7 @@ class Refined(Record):
 
 
 def refine(
-    vehicle: RobotModel,
+    model: RobotModel,
     path: Path,
     limits: Limits,
     field: DistanceField | None = None,
@@ -128,7 +128,7 @@ def refine(
     The time has derivatives by limits and by parameters of the robot, in forward mode.
 
     Args:
-        vehicle: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
             It starts at rest, with steerings and trailers straight, and ends at rest.
         path: one `Path` of the chassis in short steps, as from `Path.split` or `smooth`. Its end is
             the goal. Use `jax.vmap` for many.
@@ -161,7 +161,7 @@ def refine(
         >>> quick.status, bool(quick.motion.time < 0.6 * quick.start_time)
         ('refined', True)
     """
-    check_can_follow("refine", vehicle, limits)
+    check_can_follow("refine", model, limits)
     check_path("refine", path)
     if (field is None) != (footprint is None):
         raise InputError("refine: got only one of field and footprint, expected both or none")
@@ -176,35 +176,35 @@ def refine(
     if margin is None and field is not None:
         margin = field.resolution
     run = _program if alone() else _refine
-    return run(vehicle, path, limits, field, footprint, margin, **counts)
+    return run(model, path, limits, field, footprint, margin, **counts)
 
 
 def _refine(
-    vehicle: RobotModel, path: Path, limits: Limits, field: DistanceField | None,
+    model: RobotModel, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
     # the first guess may exceed the steering limit
-    first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
+    first = time_scaling(model, path, limits.replace(steering=jnp.inf))
     motion = first.motion
     dtype = motion.ts.dtype
-    vehicle, path, limits, field, footprint, margin = cast_floats(
-        (vehicle, path, limits, field, footprint, margin), dtype
+    model, path, limits, field, footprint, margin = cast_floats(
+        (model, path, limits, field, footprint, margin), dtype
     )
-    robot = vehicle.robot
+    robot = model.robot
     steers = jnp.full(len(robot.steerings), limits.steering_rate)
-    units = jnp.concatenate([limits.torques(vehicle), steers]).astype(dtype)
+    units = jnp.concatenate([limits.torques(model), steers]).astype(dtype)
     bent = jnp.abs(motion.q[:, robot.layout.steerings]).ravel()
     widest = largest(jnp.append(bent, PLAIN))
     limits = limits.replace(steering=jnp.where(jnp.isinf(limits.steering), widest, limits.steering))
     controls, dt = motion.sampled(intervals)
-    bare = start(vehicle, path.start)
+    bare = start(model, path.start)
     begin = jnp.concatenate([bare.q[: robot.layout.casters.stop], bare.v]).astype(dtype)
-    reach = reach_of(vehicle, dtype)
+    reach = reach_of(model, dtype)
     ways = jnp.abs(path.steps)
     length = (ways[:, :2].sum(-1) + reach * ways[:, 2]).sum().astype(dtype)
     s = Shooting(
-        vehicle, limits, units, dt, length, reach,
-        _speed_units(vehicle.nv, length / motion.time, reach),
+        model, limits, units, dt, length, reach,
+        _speed_units(model.nv, length / motion.time, reach),
         begin, path.poses[-1].astype(dtype), field, footprint,
         jnp.zeros((intervals * parts, 0), dtype), parts,
     )  # fmt: skip
@@ -242,10 +242,10 @@ def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
     off = end[:3] - s.goal
     none = jnp.zeros((len(z), 0), w.dtype)
     over = 1 + jax.vmap(s._replace(field=None).below)(z, none)
-    steerings = len(s.vehicle.robot.steerings)
+    steerings = len(s.model.robot.steerings)
     angles = over[:, 1 : 1 + steerings]
     rates = jnp.concatenate([over[:, :1], over[:, 1 + steerings : 2 + steerings]], -1)
-    drives = len(s.vehicle.robot.drives)
+    drives = len(s.model.robot.drives)
     clearance, free = jnp.full((), jnp.inf, w.dtype), jnp.ones((), bool)
     if s.field is not None and s.footprint is not None:
         clearance = jax.vmap(s.clearances)(z)

@@ -51,7 +51,7 @@ class Shooting(NamedTuple):
     """A motion as a function of w (n, nu + 1), the scaled controls and durations of intervals.
 
     Fields:
-        vehicle: the robot.
+        model: the robot.
         limits: with a finite steering angle.
         units: (nu,), the largest controls, the units of w.
         duration: the unit of durations, s.
@@ -61,11 +61,11 @@ class Shooting(NamedTuple):
         start: (nz,), the initial state.
         goal: (3,), the goal pose.
         field, footprint: None without a map.
-        due: (n parts, discs), the required clearances, m.
+        due: (n * parts, discs), the required clearances, m.
         parts: steps of an interval, static.
     """
 
-    vehicle: RobotModel
+    model: RobotModel
     limits: Limits
     units: jax.Array
     duration: jax.Array
@@ -82,15 +82,15 @@ class Shooting(NamedTuple):
     @property
     def tracked(self) -> int:
         """The number of coordinates that affect the motion: all but the angles of shafts."""
-        return self.vehicle.robot.layout.casters.stop
+        return self.model.robot.layout.casters.stop
 
     def state(self, z: jax.Array) -> State:
         m = self.tracked
-        return State(jnp.zeros(self.vehicle.nq, z.dtype).at[:m].set(z[:m]), z[m:])
+        return State(jnp.zeros(self.model.nq, z.dtype).at[:m].set(z[:m]), z[m:])
 
     def rates(self, z: jax.Array, u: jax.Array) -> jax.Array:
-        now = self.vehicle.context(self.state(z), u)
-        q, v, _ = self.vehicle.rates(now)
+        context = self.model.context(self.state(z), u)
+        q, v, _ = self.model.rates(context)
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
@@ -125,7 +125,7 @@ class Shooting(NamedTuple):
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-        both = jnp.append(z[self.vehicle.robot.layout.steerings] / self.limits.steering,
+        both = jnp.append(z[self.model.robot.layout.steerings] / self.limits.steering,
                           turn / self.limits.turn_rate)  # fmt: skip
         rows = [(speed / self.limits.speed)[None] - 1, both - 1, -both - 1]
         if self.field is None:
@@ -134,8 +134,8 @@ class Shooting(NamedTuple):
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Compute the twist (3,) of the chassis."""
-        now = self.vehicle.context(self.state(z))
-        return stack_lanes(self.vehicle.full_velocities(now)[:3], z.dtype)
+        context = self.model.context(self.state(z))
+        return stack_lanes(self.model.full_velocities(context)[:3], z.dtype)
 
     def clearances(self, z: jax.Array) -> jax.Array:
         """Compute the clearance of each disc, m."""
@@ -143,13 +143,16 @@ class Shooting(NamedTuple):
         return self.field.at(disc_centers(z[:3], self.footprint)) - self.footprint.radii
 
     def rows(self, w: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Evaluate e (3 + nv,) and b (rows,)."""
+        """Evaluate the end constraints e (3 + nv,) and the path constraints b (rows,)."""
         z = self.states(w)
         flat = z.reshape(-1, z.shape[-1])
         return self.equal(flat[-1]), jax.vmap(self.below)(flat, self.due).ravel()
 
     def linear(self, w: jax.Array) -> tuple[tuple[jax.Array, jax.Array], ...]:
-        """Evaluate (e, de/dw) and (b, db/dw), with w flattened."""
+        """Evaluate end constraints e, path constraints b and derivatives: (e, de/dw), (b, db/dw).
+
+        w is flattened.
+        """
         z = self.states(w)
         n, parts, nz = z.shape
         before = jnp.concatenate([self.start[None], z[:-1, -1]])

@@ -49,7 +49,7 @@ class TimeScaled(Record):
         return "found" if bool(self.ok) else "infeasible"
 
 
-def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
+def time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     """Compute the time-optimal motion of a robot along a path, at rest at both ends.
 
     The robot stops and steers at reversals and at turns of more than 60 degrees. Elsewhere it
@@ -57,7 +57,7 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     corners are rounded less, and the motion is slower.
 
     Args:
-        vehicle: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
             It starts with its steerings and trailers straight.
         path: one `Path` of the chassis. It may be padded by steps of zeros. Use `jax.vmap` for
             many.
@@ -83,10 +83,10 @@ def time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
         >>> found.status, round(float(found.motion.time), 2)
         ('found', 3.15)
     """
-    check_can_follow("time_scaling", vehicle, limits)
+    check_can_follow("time_scaling", model, limits)
     check_path("time_scaling", path)
     run = _program if alone() else _time_scaling
-    return run(vehicle, path, limits)
+    return run(model, path, limits)
 
 
 def check_path(where: str, path: Any) -> None:
@@ -100,11 +100,11 @@ def check_path(where: str, path: Any) -> None:
         )
 
 
-def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled:
+def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     dtype = path.steps.dtype
-    vehicle, limits = cast_floats((vehicle, limits), dtype)
-    p = drive_along(vehicle, limits, path)
-    most = limits.torques(vehicle)
+    model, limits = cast_floats((model, limits), dtype)
+    p = drive_along(model, limits, path)
+    most = limits.torques(model)
     caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
     zero = jnp.zeros((), dtype)
     # x at the beginning of a step is also x at the end of the previous step
@@ -146,11 +146,11 @@ def _time_scaling(vehicle: RobotModel, path: Path, limits: Limits) -> TimeScaled
         return after, after
 
     _, x = jax.lax.scan(ahead, zero, (steps, *ends))
-    steerings = vehicle.robot.layout.steerings
+    steerings = model.robot.layout.steerings
     angles = jnp.abs(jnp.stack([p.first.q, p.last.q])[..., steerings]).max(initial=0.0)
     rounding = 64 * jnp.finfo(dtype).eps  # for a path of arcs exactly at the limit
     ok = (low <= high).all() & (angles <= limits.steering * (1 + rounding))
-    return TimeScaled(_timed(vehicle, p, limits, jnp.concatenate([zero[None], x])), ok)
+    return TimeScaled(_timed(model, p, limits, jnp.concatenate([zero[None], x])), ok)
 
 
 def _fastest(rates: jax.Array) -> jax.Array:
@@ -189,7 +189,7 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
     return jnp.where(off, jnp.inf, jnp.minimum(low, high)), high
 
 
-def _timed(vehicle: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
+def _timed(model: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
     """Make the motion with x = s'^2 (n + 1,) at the ends of the steps."""
     n = len(p.size)
     speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
@@ -209,7 +209,7 @@ def _timed(vehicle: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> 
         return jnp.stack([a, b], 1).reshape(2 * n, *a.shape[1:])
 
     before = jnp.concatenate([jnp.zeros_like(p.first.q[:1]), p.last.q[:-1]])
-    before = before.at[0].set(p.first.q[0].at[vehicle.robot.layout.steerings].add(-p.turns[0]))
+    before = before.at[0].set(p.first.q[0].at[model.robot.layout.steerings].add(-p.turns[0]))
     v = p.first.nu * speed[:-1, None]
     q = jnp.concatenate([in_turn(before, p.first.q), p.last.q[-1:]])
     v = jnp.concatenate([in_turn(v, v), p.last.nu[-1:] * speed[-1]])

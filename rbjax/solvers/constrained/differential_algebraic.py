@@ -355,7 +355,7 @@ def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int)
 
 
 def solve_by_sweeps(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b by sweeps. Return x and whether it converged."""
+    """Solve push(x) = b by sweeps with the Schur complement S. Return x and its convergence."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
     return add_corrections(
         lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise

@@ -134,7 +134,7 @@ class Blocks(NamedTuple):
 
 
 class Simplified(NamedTuple):
-    """Approximate inverse of the Newton matrix of all stages."""
+    """Approximate inverse of the Newton matrix of all stages, one block per eigenvalue."""
 
     sizes: Sizes
     h: Any

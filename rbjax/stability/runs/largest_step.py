@@ -125,8 +125,11 @@ def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> floa
 
 
 def _of_pair(solver: Any, A: np.ndarray) -> float:
-    """Return the h above which more factors grow than modes of q' = v, v' = K q + D v. Factors are
-    only counted, because at long steps they cannot be matched with modes."""
+    """Return the first h at which more growth factors of the solver exceed 1 than modes grow.
+
+    The modes are those of q' = v, v' = K q + D v. Factors are only counted, because at long steps
+    they cannot be matched with modes.
+    """
     n = len(A) // 2
     K, D = A[n:, :n], A[n:, n:]
     rates = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [K, D]]))

@@ -132,7 +132,7 @@ def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
-    """Return whether an acceleration is only rounding."""
+    """Return whether an acceleration is zero up to rounding."""
     return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
 
 

@@ -199,8 +199,7 @@ def attempt(solver: Solver, scene: Scene, true: Truth | None = None) -> Verdict 
 
     Returns:
         `Verdict`. Errors are angles in rad, or m near gimbal lock. None if a controller needs an
-            error
-        estimate that the solver lacks, or for an arm with `RigidBodySplitting`.
+        error estimate that the solver lacks, or for an arm with `RigidBodySplitting`.
 
     Raises:
         UnknownName: an unknown solver name.

@@ -138,7 +138,10 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
 
 
 def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Characteristic]:
-    """Return the stability function, or phi if there is none, and phi."""
+    """Return the stability function R(z) and the characteristic polynomial phi of a method.
+
+    A multistep method has no R(z); phi is then returned twice.
+    """
     phi = characteristic(solver)
     if isinstance(solver, Characteristic):
         return phi, phi
@@ -203,7 +206,10 @@ def _plain_body(t: float, y: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def _problem(on_group: bool) -> tuple[Any, Any, np.ndarray]:
-    """Return the term, the initial state, and the state at the end."""
+    """Return term, initial state and final state of the smooth problem of `measured_order`.
+
+    It is a rigid body if `on_group`, else a driven pendulum.
+    """
     if on_group:
         start = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, -0.7])
         term, plain = solvers.RigidBody(INERTIA, _torque), _plain_body

@@ -97,8 +97,10 @@ def _powers(solver: Any, n: int) -> np.ndarray:
 def step_matrices(
     solver: Any, field: Any, like: Any, args: np.ndarray, omega: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the matrices of `_matrices` in f64, in any precision of the caller. The constants of a
-    solver become arrays, so all solvers of a class share one compiled program."""
+    """Compute the matrices of one step (`_matrices`) in f64, whatever the caller's precision.
+
+    The constants of a solver become arrays, so all solvers of a class share one compiled program.
+    """
     one = fixed_step_solver(solver)
     if isinstance(one, NEEDS_PAST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(

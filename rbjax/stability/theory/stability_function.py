@@ -165,7 +165,7 @@ def _(solver: diffrax.ImplicitEuler) -> Coefficients:
 
 @butcher.register
 def _(solver: solvers.CommutatorFree4) -> Coefficients:
-    """If exponentials commute, this is the classical method."""
+    """Return the coefficients of RK4, to which the method reduces if exponentials commute."""
     return np.array(tables.RK4.a), np.array(tables.RK4.b)
 
 

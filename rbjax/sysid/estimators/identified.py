@@ -243,7 +243,7 @@ def free_run(
 
 
 def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
-    """Check and return the standard deviations of a sensor."""
+    """Check the standard deviations of a sensor and return them."""
     if not isinstance(noise, Mapping) or sensor not in noise:
         raise InputError(
             f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "

@@ -98,7 +98,7 @@ def minimise(
 
 
 class Request(NamedTuple):
-    """The next request of a search: the triangle at x if `slopes`, otherwise the cost at x."""
+    """The next evaluation of a search at x: the triangular factor if `slopes`, else the cost."""
 
     x: np.ndarray
     slopes: bool
@@ -202,14 +202,17 @@ def search(
 
 
 def _largest_curvature(factor: np.ndarray, R: np.ndarray) -> float:
-    """Compute the largest eigenvalue of J^T J in the metric."""
+    """Compute the largest eigenvalue of J^T J relative to the metric L L^T, with `factor` L."""
     return float(np.linalg.norm(np.linalg.solve(factor, R[:, :-1].T), 2)) ** 2
 
 
 def _expected_decrease(
     R: np.ndarray, step: np.ndarray, now: float, tolerances: Tolerances
 ) -> float:
-    """Compute the decrease of |r|^2 by a step in the linear model."""
+    """Compute the decrease of |r|^2 by a step in the linear model.
+
+    now: the current cost.
+    """
     linear = R[:, :-1] @ step + R[:, -1]
     squares = now if tolerances.relative else float(R[:, -1] @ R[:, -1])
     return squares - float(linear @ linear)

@@ -182,7 +182,7 @@ class Likelihood:
         )
 
     def cost(self, x: np.ndarray) -> float:
-        """Compute l, or inf if it is not finite."""
+        """Compute l, twice the negative log likelihood, or inf if it is not finite."""
         found = float(np.sum(self._values(jnp.asarray(x), self.series)))
         return found if np.isfinite(found) else np.inf
 

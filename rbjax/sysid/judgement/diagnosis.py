@@ -84,7 +84,12 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Causes, sorted by the reduction of the error, and the recordings with all corrections."""
+    """The mistakes in the recordings of a fit.
+
+    Fields:
+        causes: the mistakes, sorted by the reduction of the error.
+        recordings: the recordings with all corrections.
+    """
 
     causes: tuple[Cause, ...]
     recordings: tuple[Recording, ...]

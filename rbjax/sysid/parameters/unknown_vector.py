@@ -158,7 +158,10 @@ def draw_guesses(
 
 
 def _one(label: str, u: Parametrisation, p: np.ndarray, z: np.ndarray, even: Any) -> np.ndarray:
-    """Compute a guess of one unknown from its parameters p in the set-up."""
+    """Compute a random guess of one unknown from its parameters p in the set-up.
+
+    z: random numbers in (-spread, spread). even: the same numbers in (0, 1).
+    """
     if isinstance(u, Inertia):
         theta = to_log_cholesky(pseudo_inertia_of(jnp.asarray(p)))
         return np.asarray(inertial_parameters_of(from_log_cholesky(theta + z / 2)))

@@ -152,7 +152,7 @@ class MultipleShooting:
         return np.concatenate([np.ravel(r), self.continuity_weight * np.ravel(gaps)])
 
     def cost(self, x: np.ndarray) -> float:
-        """Compute |r|^2, including the weighted gaps."""
+        """Compute the sum of squared residuals, including the weighted gaps."""
         return sum_of_squares(self.residuals(x))
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
@@ -172,7 +172,10 @@ class MultipleShooting:
         return triangle_of(np.concatenate(blocks))
 
     def merge(self, x: np.ndarray) -> np.ndarray:
-        """Select x of whole runs: the unknowns, and the corrections of each run's initial state."""
+        """Convert x of the segments to x of the whole runs.
+
+        It keeps the unknowns, and the initial state corrections of the first segment of each run.
+        """
         n = self.segments.shared
         own = x[n:].reshape(-1, self.segments.own)
         return np.append(x[:n], own[self.firsts])

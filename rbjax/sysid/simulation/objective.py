@@ -166,7 +166,8 @@ def _keep(setup: Setup, runs: Run, grid: Grid, memory: float) -> int:
 def _make_programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None
 ) -> tuple[Callable, Callable]:
-    """Compile c, and c with its gradient (runs, n + l) by the entries of each run."""
+    """Compile the objective c, and c with its gradient (runs, n + l) by the entries of x of each
+    run."""
     one = get_cached(make_programs, setup, unknowns, grid, own, loss, keep)
 
     def cost(x: jax.Array, run: Run) -> jax.Array:

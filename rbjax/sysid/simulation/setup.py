@@ -154,13 +154,13 @@ class Path(NamedTuple):
 
     Fields:
         q, v, x: (N + 1, ...) states at the times of the commands and one period after the last.
-        ctrls: (N, nu) controls before their delay.
+        ctrl: (N, nu) controls before their delay.
     """
 
     q: jax.Array
     v: jax.Array
     x: jax.Array | None
-    ctrls: jax.Array
+    ctrl: jax.Array
 
 
 def simulate_motion(
@@ -339,7 +339,7 @@ def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     late: Any = 0.0
     if _has_delay(setup, grid):
         late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T)
-    ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
+    ctrl = path.ctrl[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
     state = interpolate_state(setup.model, path, T, t)
     return Context.of(setup.model, t, state, ctrl, T / grid.substeps)
 

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
+from rbjax.lanes.arrays import select
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
@@ -72,7 +73,7 @@ def make_programs(
         made = functools.partial(unknowns.write, setup)
         now = made(p)
         start = state_of_readings(now, run.start, "v" in run.values)
-        start = jax.tree.map(lambda a, b: jnp.where(run.exact > 0, a, b), run.start, start)
+        start = select(run.exact > 0, run.start, start)
         if own:
             dq, dv = jnp.split(jnp.where(run.known > 0, 0.0, s), 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
@@ -206,7 +207,7 @@ class SimulationError:
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def cost(self, x: np.ndarray) -> float:
-        """Compute |r|^2, including the normal priors."""
+        """Compute the sum of squared residuals, including the normal priors."""
         priors = self.unknowns.prior_rows(x[: self.shared])[:, -1]
         return sum_of_squares(self.residuals(x)) + float(priors @ priors)
 
@@ -227,7 +228,8 @@ class SimulationError:
         return self._last[1]
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute r (runs, rows) and J (runs, rows, n + l), with the sensors sorted by name."""
+        """Compute the residuals r (runs, rows) and the Jacobian J (runs, rows, n + l), by sorted
+        sensors."""
         r, J = self._seeded_slopes(x)
         coloured = self.colouring
         return r, J if coloured is None else coloured.expand(J, self._times)
@@ -300,7 +302,8 @@ class SimulationError:
         return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
-        """Compute R from the residuals (runs, rows) and their derivatives along the seeds."""
+        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their seed
+        derivatives."""
         n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
@@ -325,7 +328,7 @@ class SimulationError:
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Expand rows [J r] of run k from its own n + l columns to all columns of x."""
+        """Expand rows [J r] of run k from its n unknowns and l corrections to all columns of x."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]
@@ -353,7 +356,7 @@ def sum_of_squares(r: np.ndarray) -> float:
 
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """Compute R of the QR factorisation of rows [J r], or nan if an entry is not finite."""
+    """Compute the QR factor R of rows [J r], or nan if an entry is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((n, n), np.nan, rows.dtype)

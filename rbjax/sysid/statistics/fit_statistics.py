@@ -130,7 +130,7 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """Compute a matrix R with n columns and R^T R = H."""
+    """Compute R (.., n) with R^T R = sum_c a_c J_c^T J_c, for the mean slopes a_c (`shares`)."""
     by_run = [[column.runs[k] for column in columns] for k in range(len(columns[0].runs))]
     parts = []
     for run in by_run:
@@ -145,7 +145,8 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:
-    """Compute the mean of all entries, at least 1e-3, since a mean of 0 makes H singular."""
+    """Compute the mean of all entries, at least 1e-3, because a mean of 0 makes the Hessian
+    singular."""
     count = sum(len(x) for x in parts)
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 

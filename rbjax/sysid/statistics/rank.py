@@ -90,7 +90,7 @@ class Combinations:
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """The matrix B (r, n) with beta = B pi."""
+        """The matrix B (r, n) that maps the parameters to the base parameters, beta = B pi."""
         B = np.zeros((self.rank, len(self.names)))
         B[np.arange(self.rank), list(self.kept)] = 1.0
         B[:, list(self.dropped)] = self.K
@@ -237,7 +237,7 @@ def project_out_others(R: np.ndarray, n: int) -> np.ndarray:
 
 
 def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
-    """Choose as many independent columns as there are orthonormal rows, the first in order.
+    """Choose r independent columns of r orthonormal rows, with priority in the given order.
 
     The first pass keeps columns with a clear component outside of the span of the kept ones. If
     these are too few, the columns with the largest such components follow.

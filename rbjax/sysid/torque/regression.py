@@ -297,7 +297,8 @@ def _weighted(eq: Equations, noise: Array) -> Regression:
 
 
 def _stacked(eq: Equations, noise: Any) -> tuple[Array, Array]:
-    """Stack X (N k, r) and tau (N k,), divided by the noise."""
+    """Stack the columns X (N k, r) of the base parameters and the torques (N k,), divided by the
+    noise."""
     sd = np.broadcast_to(noise, eq.tau.shape)
     return (eq.X / sd[..., None]).reshape(eq.tau.size, -1), (eq.tau / sd).ravel()
 

@@ -94,7 +94,11 @@ def _of_actuator(
 
 
 def _of_user(roles: Roles, wheels: Sequence[FileWheel], given: Any) -> list[Drive]:
-    """Make a drive for each wheel of a name or pattern, and one for each tuple."""
+    """Make one drive for each wheel that matches a name or pattern, and one drive for each tuple of
+    wheels.
+
+    given: a mapping from names or tuples to motors, or a sequence of names or tuples.
+    """
     pairs: Iterable[tuple[Any, Motor]]
     if isinstance(given, Mapping):
         pairs = given.items()

@@ -36,7 +36,7 @@ class Roles:
 
     @property
     def turntables(self) -> tuple[int, ...]:
-        """The joints of steerings and casters."""
+        """Indices of the joints of steerings and casters."""
         return (*(j for group in self.steerings for j in group), *self.casters)
 
     def name(self, j: int) -> str:
@@ -53,7 +53,7 @@ class Roles:
         return next((j for j in self.turntables if j in above), None)
 
     def steered(self, j: int) -> int:
-        """Return the index of the wheel of a steering or caster."""
+        """Return the index of the wheel that a steering or caster turns."""
         return next(i for i, wheel in enumerate(self.wheels) if j in self.rest.above(wheel))
 
     def wheels_named(self, what: str, patterns: Patterns) -> list[int]:
@@ -185,7 +185,7 @@ def _check_tree(roles: Roles) -> None:
 
 
 def _listed(rest: AtRest, above: int | None = None) -> str:
-    """Format the names of the hinges as text, all or only the hinges below a joint."""
+    """Format the names of the hinges as text: all hinges, or only the hinges below a joint."""
     found = [
         repr(name)
         for j, name in enumerate(rest.joint_names)

@@ -163,7 +163,7 @@ class View:
     turn: np.ndarray
 
     def seen(self, point: np.ndarray, k: int) -> np.ndarray:
-        """Express a point of the world in the frame of body k."""
+        """Express a point (3,) of the world in the frame of the chassis (k = 0) or of trailer k."""
         return self.turn.T @ (point - self.origins[k])
 
     def angle(self, ahead: np.ndarray) -> float:

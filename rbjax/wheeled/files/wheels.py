@@ -188,7 +188,10 @@ def _pivot(
 
 
 def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
-    """Return the radius of a wheel, if given, or else of its shape, and its centre on the axle."""
+    """Return the radius of a wheel and its centre on the axle.
+
+    The radius is the given one. If none is given, it is the radius of the wheel's shape.
+    """
     given = radius.get(j) if isinstance(radius, Mapping) else radius
     if given is not None:
         if not (isinstance(given, (int, float)) and 0 < given < np.inf):

@@ -117,7 +117,7 @@ def write_mjcf(
     draft = make_draft(full.replace(constraints=(*rigid, *linkages)))
     touch = {"solref": text(solref), "solimp": text(solimp)}
     for key, value in (OPTION | option).items():
-        draft.option.set(key, value if isinstance(value, str) else text(value))
+        draft.option.set(key, text(value))
     _write_ground(draft, n, wheel, float(width), touch | {"friction": text(friction)})
     _write_drives(draft, n)
     _write_steerings(draft, n, float(steering_range), float(steering_time))
@@ -155,7 +155,10 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
 
 
 def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float]:
-    """Fit polynomials of wheel angles in the column's angle. Return them and the largest error."""
+    """Fit polynomials from the angle of a steering column to the angles of its wheels.
+
+    Return the polynomials, and the largest error in rad. reach: the largest column angle, rad.
+    """
     out, worst = [], 0.0
     nodes = reach * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     powers = nodes[:, None] ** np.arange(1, _DEGREE + 1)
@@ -226,7 +229,7 @@ def _write_drives(draft: Draft, n: Parameters) -> None:
 
 
 def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
-    """Write the fixed tendon sum split_i phi_i."""
+    """Write the fixed tendon of a differential, whose length is sum split_i phi_i."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
         ET.SubElement(cage, "joint", joint=axle, coef=text(share))
@@ -267,8 +270,8 @@ def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
 
 
 def _own(x: Any) -> Any:
-    """Convert a number to numpy in its own precision, which `text` writes with the fewest
-    decimals."""
+    """Convert a number to a numpy scalar of its own dtype, which `text` writes with the fewest
+    digits."""
     return np.asarray(x)[()]
 
 

@@ -42,7 +42,7 @@ class RobotContext:
 
     @functools.cached_property
     def shape(self) -> Shape:
-        """The shape at the angles of trailers, steerings and casters."""
+        """The `Shape`: directions of trailers and wheels at the current angles."""
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
@@ -58,14 +58,15 @@ class RobotContext:
         return out
 
     def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
-        """Compute the shape with its rate at full velocities w."""
+        """Compute the `Shape` and its time derivative, as `Dual` lanes, at full velocities w."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
         )
 
     def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
-        """Compute the shape with its first and second rate at constant rates of the angles."""
+        """Compute the `Shape` with its first and second time derivative, at constant rates of the
+        angles."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n,
@@ -74,38 +75,38 @@ class RobotContext:
         )  # fmt: skip
 
 
-def angles_of(now: RobotContext) -> list[Lane]:
-    """Return the angles on which the shape depends."""
-    n = now.n
-    return now.q[3 : n.layout.casters.stop]
+def angles_of(context: RobotContext) -> list[Lane]:
+    """Return the angles of trailers, steerings and casters, on which the `Shape` depends."""
+    n = context.n
+    return context.q[3 : n.layout.casters.stop]
 
 
-def steering_rates(now: RobotContext) -> list[Lane]:
-    """Compute the rate b' of each steering."""
-    n = now.n
+def steering_rates(context: RobotContext) -> list[Lane]:
+    """Compute the rate of each steering angle, rad/s."""
+    n = context.n
     out = []
     first = len(n.robot.drives)
     for j, steering in enumerate(n.robot.steerings):
-        u = now.u[first + j]
+        u = context.u[first + j]
         if steering.lag is None:
             out.append(u)
         else:
-            out.append((u - now.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
+            out.append((u - context.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
     return out
 
 
-def coordinate_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
+def coordinate_rates(context: RobotContext, w: Sequence[Lane]) -> list[Lane]:
     """Compute q' from the full velocities."""
-    n = now.n
-    x, y = rotate((w[0], w[1]), now.pose)
-    return [x, y, w[2], *angle_rates(now, w), *w[2 + len(n.bodies) :]]
+    n = context.n
+    x, y = rotate((w[0], w[1]), context.pose)
+    return [x, y, w[2], *angle_rates(context, w), *w[2 + len(n.bodies) :]]
 
 
-def angle_rates(now: RobotContext, w: Sequence[Lane]) -> list[Lane]:
-    """Compute the rates of the angles on which the shape depends."""
-    n = now.n
+def angle_rates(context: RobotContext, w: Sequence[Lane]) -> list[Lane]:
+    """Compute the rates of the angles of trailers, steerings and casters."""
+    n = context.n
     trailers = list(w[3 : 2 + len(n.bodies)])
     casters = []
     if n.layout.caster_wheels:
-        casters = caster_rates(n, now.shape, twists_of(n, now.shape, w))
-    return [*trailers, *steering_rates(now), *casters]
+        casters = caster_rates(n, context.shape, twists_of(n, context.shape, w))
+    return [*trailers, *steering_rates(context), *casters]

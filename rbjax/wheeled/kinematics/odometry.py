@@ -78,7 +78,8 @@ class HeadingSlip(Record):
 
     @classmethod
     def none(cls, arm: Any, harmonics: int = 1, faster: int = -1, speed: Any = 0.1) -> HeadingSlip:
-        """Make the model without slip, V = u."""
+        """Make the model of wheels that do not slip, with the robot's twist equal to the rolling
+        twist."""
         terms = 1 + (2 * harmonics + 1) + (2 * faster + 1 if faster >= 0 else 0)
         C = jnp.zeros((3, terms)).at[jnp.arange(3), jnp.array([2, 3, 0])].set(1.0)
         return cls(C, arm, speed, harmonics, faster)
@@ -100,13 +101,14 @@ class HeadingSlip(Record):
         return jnp.stack(out, -1)
 
     def columns(self, twist: Any) -> jax.Array:
-        """Compute d(vx, vy, arm w) / d coefficients.ravel(), (..., 3, 3 terms), for regression."""
+        """Compute the derivatives (..., 3, 3 terms) of (vx, vy, arm w) by the flattened
+        coefficients."""
         z = self.terms(twist)
         wide = jnp.eye(3, dtype=z.dtype)[:, :, None] * z[..., None, None, :]
         return wide.reshape(*z.shape[:-1], 3, -1)
 
     def __call__(self, twist: Any) -> jax.Array:
-        """Compute V (..., 3) from u (..., 3)."""
+        """Compute the robot's twist V (..., 3) from the twist u (..., 3) of wheels that roll."""
         V = self.terms(twist) @ self.coefficients.T
         return V.at[..., 2].divide(self.arm)
 
@@ -241,7 +243,8 @@ def odometry(
 
 
 def _times(where: str, t: Any, rising: bool) -> jax.Array:
-    """Check at least two times, which must not decrease or, if `rising`, must increase."""
+    """Check that there are at least two times, which must not decrease or, if `rising`, must
+    increase."""
     (count,) = shape_of(where, "t", t)[:1] or (0,)
     t = check_array(where, "t", t, (max(count, 2),))
     if not isinstance(t, jax.core.Tracer):

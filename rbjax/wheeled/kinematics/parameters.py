@@ -34,7 +34,10 @@ class BodyParameters:
 
 @dataclass(frozen=True)
 class WheelParameters:
-    """A wheel. heading: its direction at zero steering. slant: the tangent of `roller`."""
+    """The parameters of a wheel.
+
+    heading: its direction at zero steering. slant: the tangent of `roller`.
+    """
 
     kind: str
     body: int
@@ -80,11 +83,11 @@ class Parameters:
 
     @property
     def rigid(self) -> tuple[BodyParameters, ...]:
-        """The bodies and forks, in the order of `inertial_motion`."""
+        """The bodies, then the forks of the casters."""
         return (*self.bodies, *self.forks)
 
     def lane(self, x: Any) -> Lane:
-        """Convert a number of a part to a lane."""
+        """Convert a numeric field of a body, wheel or drive to a lane."""
         return scalar(x, self.dtype)
 
     def shaft_rates(self, w: Sequence[Lane]) -> Sequence[Lane]:

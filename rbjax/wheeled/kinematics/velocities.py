@@ -80,7 +80,7 @@ def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
 
 
 def place_of(n: Parameters, leader: Leader) -> Pair:
-    """Compute the position of a leader; for a steering of several wheels, their middle."""
+    """Compute the position of a leading wheel, or the middle of the wheels of a steering."""
     if leader.what == "skidding":
         return n.turn_center, 0.0
     if leader.what == "wheel":
@@ -92,7 +92,7 @@ def place_of(n: Parameters, leader: Leader) -> Pair:
 
 
 def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
-    """Compute the directions of the wheels of a steering at the steering direction e."""
+    """Compute the direction of each wheel of a steering, for the steering direction e."""
     if len(wheels) == 1:
         return {wheels[0]: rotate(e, n.wheels[wheels[0]].heading)}
     # Ackermann: all wheels turn about one point of the fixed axle
@@ -152,7 +152,7 @@ def _about_one_center(n: Parameters, shape: Shape) -> Twist:
 
 
 def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
-    """Project a twist onto the free velocities. It is the inverse of `chassis_twist`."""
+    """Project a twist onto the free velocities, the inverse of `chassis_twist`."""
     if not shape.leaders:
         return list(V)
     if len(shape.leaders) == 1:
@@ -178,8 +178,8 @@ def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> lis
 
 
 def _behind(n: Parameters, k: int, v: Pair, w: Lane) -> Twist:
-    """Compute the twist of a trailer from the velocity of its coupling, in its axes, and turning
-    rate."""
+    """Compute the twist of trailer k from the velocity v of its coupling, in the trailer's axes,
+    and its turning rate w."""
     return Twist(v[0], sub(v[1], mul(w, n.bodies[k].drawbar)), w)
 
 

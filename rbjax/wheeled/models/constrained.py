@@ -72,30 +72,30 @@ class Constrained(RobotModel):
     def nv(self) -> int:
         return self.robot.layout.nw
 
-    def full_velocities(self, now: RobotContext) -> list[Lane]:
-        model, state = full_state(now, now.v)
-        return robot_velocities(now, model, project_state(model, 0.0, state, positions=False).v)
+    def full_velocities(self, context: RobotContext) -> list[Lane]:
+        model, state = full_state(context, context.v)
+        return robot_velocities(context, model, project_state(model, 0.0, state, positions=False).v)
 
-    def project(self, now: RobotContext) -> list[Lane]:
-        return self.full_velocities(now)
+    def project(self, context: RobotContext) -> list[Lane]:
+        return self.full_velocities(context)
 
-    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, context: RobotContext, w: list[Lane]) -> list[Lane]:
         return list(w)
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
-        w = self.full_velocities(now)
-        model, state = full_state(now, w)
-        tau = torques(now, model, w)
-        a = robot_velocities(now, model, self.formulation(model, 0.0, state, tau, {}))
+    def accelerations(self, context: RobotContext) -> list[Lane]:
+        w = self.full_velocities(context)
+        model, state = full_state(context, w)
+        tau = torques(context, model, w)
+        a = robot_velocities(context, model, self.formulation(model, 0.0, state, tau, {}))
         # (R V)' = R (V' + w x V)
         a[0], a[1] = add(a[0], mul(w[2], w[1])), sub(a[1], mul(w[2], w[0]))
         return a
 
-    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
-        forces = zip(self.axle_forces(now), now.shape.wheels, strict=True)
-        return wheel_loads(now.n), [rotate(f, e) for f, e in forces]
+    def wheel_forces(self, context: RobotContext) -> tuple[list[Lane], list[Pair]]:
+        forces = zip(self.axle_forces(context), context.shape.wheels, strict=True)
+        return wheel_loads(context.n), [rotate(f, e) for f, e in forces]
 
-    def axle_forces(self, now: RobotContext) -> list[Pair]:
+    def axle_forces(self, context: RobotContext) -> list[Pair]:
         """Compute the force of the ground on each wheel, ahead and to the left of the wheel, N.
 
         The constraint rows of wheels on one axle are redundant; the forces are the ones of least
@@ -103,8 +103,8 @@ class Constrained(RobotModel):
         has a rolling constraint and has their whole force ahead. The lateral force on skidding
         wheels is `skidding_force`.
         """
-        n = now.n
-        out, l, at = [], self._multipliers(now), 0
+        n = context.n
+        out, l, at = [], self._multipliers(context), 0
         for i in range(len(n.wheels)):
             ways = contact_ways(n, i)
             force = dict(zip(ways, [l[at + k] for k in range(len(ways))], strict=True))
@@ -115,26 +115,28 @@ class Constrained(RobotModel):
             out.append((force.get("ahead", 0.0), force.get("left", 0.0)))
         return out
 
-    def skidding_force(self, now: RobotContext) -> Lane:
+    def skidding_force(self, context: RobotContext) -> Lane:
         """Compute the lateral force on the turning axis of skidding wheels, N, positive to the
         left. It is 0 if no wheel skids."""
-        n = now.n
+        n = context.n
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
-        return self._multipliers(now)[sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))]
+        return self._multipliers(context)[
+            sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))
+        ]
 
-    def _multipliers(self, now: RobotContext) -> jax.Array:
-        w = self.full_velocities(now)
-        model, state = full_state(now, w)
-        return constrained_motion(model, 0.0, state, torques(now, model, w), {})[1]
+    def _multipliers(self, context: RobotContext) -> jax.Array:
+        w = self.full_velocities(context)
+        model, state = full_state(context, w)
+        return constrained_motion(model, 0.0, state, torques(context, model, w), {})[1]
 
 
-def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
+def full_state(context: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
     """Make the multibody model at the current steering rates, and its state at full velocities
     w."""
-    n = now.n
-    layout, rates = n.layout, coordinate_rates(now, w)
-    steering = steering_rates(now)
+    n = context.n
+    layout, rates = n.layout, coordinate_rates(context, w)
+    steering = steering_rates(context)
     model = model_of(n, steering_rates=steering)
     names = {f"hitch_{k}": at for k, at in enumerate(indices(layout.trailers), start=1)}
     names |= {f"steering_{j}": at for j, at in enumerate(indices(layout.steerings))}
@@ -144,21 +146,21 @@ def full_state(now: RobotContext, w: Sequence[Lane]) -> tuple[Model, State]:
     }
     names |= {wheel_joint(i): layout.shafts.start + x.shaft for i, x in enumerate(n.wheels)}
     q, v = (
-        {name: now.q[at] for name, at in names.items()},
+        {name: context.q[at] for name, at in names.items()},
         {k: rates[at] for k, at in names.items()},
     )
     for i, wheel in enumerate(n.wheels):
         if wheel.kind == "steered":
             name, j = knuckle_joint(n, i)
             if name not in q:
-                slope, _, q[name] = linked(n, j, i, now.q[layout.steerings.start + j])
+                slope, _, q[name] = linked(n, j, i, context.q[layout.steerings.start + j])
                 v[name] = mul(slope, steering[j])
-    angles, speeds = (drive_speeds(n, x[layout.shafts]) for x in (now.q, rates))
+    angles, speeds = (drive_speeds(n, x[layout.shafts]) for x in (context.q, rates))
     for j in range(len(n.robot.drives)):
         q[f"motor_{j}"], v[f"motor_{j}"] = angles[j], speeds[j]
     others = model.joint_names[1:]
     return model, State(
-        stack_lanes([*now.q[:3], *(q[name] for name in others)], n.dtype),
+        stack_lanes([*context.q[:3], *(q[name] for name in others)], n.dtype),
         stack_lanes([*rates[:3], *(v[name] for name in others)], n.dtype),
     )
 
@@ -193,9 +195,9 @@ def full_model_state(
     """
     choice("base", base, BASES)
     state, u = check_state_and_controls("full_model_state", model, state, ctrl)
-    now = model.context(state, u)
-    n = now.n
-    full = full_state(now, model.full_velocities(now))[1]
+    context = model.context(state, u)
+    n = context.n
+    full = full_state(context, model.full_velocities(context))[1]
     if base != "free":
         return full
     turn = direction(0.5 * full.q[2])
@@ -207,19 +209,19 @@ def full_model_state(
     )
 
 
-def robot_velocities(now: RobotContext, model: Model, v: Any) -> list[Lane]:
+def robot_velocities(context: RobotContext, model: Model, v: Any) -> list[Lane]:
     """Convert velocities of the multibody model to full velocities of the robot."""
-    n = now.n
+    n = context.n
     trailers = [f"hitch_{k}" for k in range(1, len(n.bodies))]
     axles = [wheel_joint(i) for i in n.layout.setters]
     own = [v[model.v_slice(name).start] for name in (*trailers, *axles)]
-    return [*rotate_back((v[0], v[1]), now.pose), v[2], *own]
+    return [*rotate_back((v[0], v[1]), context.pose), v[2], *own]
 
 
-def torques(now: RobotContext, model: Model, w: Sequence[Lane]) -> jax.Array:
+def torques(context: RobotContext, model: Model, w: Sequence[Lane]) -> jax.Array:
     """Compute the generalized forces (nv,) of drives and of rolling resistance."""
-    n = now.n
+    n = context.n
     out: list[Lane] = [0.0] * model.nv
-    for i, torque in zip(n.layout.setters, shaft_torques(now, w), strict=True):
+    for i, torque in zip(n.layout.setters, shaft_torques(context, w), strict=True):
         out[model.v_slice(wheel_joint(i)).start] = torque
     return stack_lanes(out, n.dtype)

@@ -52,11 +52,14 @@ class Equations(NamedTuple):
 
     @property
     def accelerations(self) -> list[Lane]:
-        """The solution nu' of M nu' = f."""
+        """The accelerations nu', the solution of M nu' = f."""
         return ldlt(self.M).solve(self.f)
 
     def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
-        """Solve (M + h D) nu' = f, with D = sum c d d^T over the dampers."""
+        """Solve (M + h D) nu' = f, with the damping matrix D = sum c d d^T.
+
+        dampers: pairs of a coefficient c and a row d of full velocities, projected onto nu.
+        """
         M = [list(row) for row in self.M]
         for c, d in dampers:
             moved = [inner(d, column) for column in self.columns]
@@ -83,12 +86,12 @@ def _gyroscopic(body: BodyParameters, V: Twist) -> Twist:
     return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
 
 
-def gravity_wrenches(now: RobotContext) -> list[Twist]:
+def gravity_wrenches(context: RobotContext) -> list[Twist]:
     """Compute the wrench of gravity along the ground on each body and fork, in its own axes."""
-    n, shape = now.n, now.shape
+    n, shape = context.n, context.shape
     if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
         return [Twist(0.0, 0.0, 0.0)] * len(n.rigid)
-    falls = [rotate_back(n.downhill, now.pose)]
+    falls = [rotate_back(n.downhill, context.pose)]
     for k in range(1, len(n.bodies)):
         falls.append(rotate_back(falls[n.ahead(k)], shape.trailers[k - 1]))
     for i in n.layout.caster_wheels:
@@ -106,7 +109,7 @@ def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -
 
 
 def projected_equations(
-    now: RobotContext,
+    context: RobotContext,
     w: Sequence[Lane],
     velocities: Velocities,
     nu: Sequence[Lane],
@@ -116,7 +119,7 @@ def projected_equations(
     """Project the equations of motion on velocities nu.
 
     Args:
-        now: the coordinates and the rates of steerings.
+        context: the coordinates and the rates of steerings.
         w: the full velocities.
         velocities: the map from nu to full velocities.
         nu: the velocities.
@@ -124,16 +127,16 @@ def projected_equations(
         forces: the wrench on each body and fork, in its own axes about its origin; None for
             gravity.
     """
-    n = now.n
-    forces = gravity_wrenches(now) if forces is None else forces
-    columns = columns_of(n, now.shape, velocities, len(nu))
-    parts = [inertial_motion(n, now.shape, column) for column in columns]
-    moves, gains = motion_and_rate(n, now.shape_with_rate(w), velocities, nu)
+    n = context.n
+    forces = gravity_wrenches(context) if forces is None else forces
+    columns = columns_of(n, context.shape, velocities, len(nu))
+    parts = [inertial_motion(n, context.shape, column) for column in columns]
+    moves, gains = motion_and_rate(n, context.shape_with_rate(w), velocities, nu)
     loads = [
         F - momentum(body, A) - _gyroscopic(body, V)
         for body, F, V, A in zip(n.rigid, forces, moves.twists, gains.twists, strict=True)
     ]
-    for body, moment in _steering_torques(now, w):
+    for body, moment in _steering_torques(context, w):
         loads[body] = loads[body] - Twist(0.0, 0.0, moment)
     driving = [*torques, *([0.0] * (len(gains.turns) - len(torques)))]
     turning = [
@@ -173,10 +176,10 @@ def motion_and_rate(
     return now, rate
 
 
-def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
+def _steering_torques(context: RobotContext, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
     """Compute the reaction moments of wheels of Ackermann steerings, as pairs (body, moment). At a
     constant steering rate such wheels still accelerate about the vertical."""
-    n = now.n
+    n = context.n
     uneven = [
         i
         for steering in n.robot.steerings
@@ -186,7 +189,7 @@ def _steering_torques(now: RobotContext, w: Sequence[Lane]) -> list[tuple[int, L
     ]
     if not uneven:
         return []
-    shape, out = now.shape_with_two_rates(w), []
+    shape, out = context.shape_with_two_rates(w), []
     for i in uneven:
         e = shape.wheels[i]
         here = tuple(value_of(value_of(x)) for x in e)
@@ -209,14 +212,14 @@ def kinetic_energy(
     return mul(0.5, add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns)))
 
 
-def potential_energy(now: RobotContext) -> Lane:
+def potential_energy(context: RobotContext) -> Lane:
     """Compute the potential energy of gravity on the slope."""
-    n, poses, energy = now.n, now.bodies(), 0.0
+    n, poses, energy = context.n, context.bodies(), 0.0
     for body, (origin, e) in zip(n.bodies, poses, strict=True):
         fall = add(mul(body.mass, dot(n.downhill, origin)), dot(n.downhill, rotate(body.moment, e)))
         energy = sub(energy, fall)
     for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
         _, e = poses[n.wheels[i].body]
-        moment = rotate(fork.moment, rotate(now.shape.wheels[i], e))
+        moment = rotate(fork.moment, rotate(context.shape.wheels[i], e))
         energy = sub(energy, dot(n.downhill, moment))
     return energy

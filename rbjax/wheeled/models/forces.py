@@ -104,19 +104,19 @@ def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: 
 
 
 def shaft_torques(
-    now: RobotContext, w: Sequence[Lane], loads: Sequence[Lane] | None = None
+    context: RobotContext, w: Sequence[Lane], loads: Sequence[Lane] | None = None
 ) -> list[Lane]:
     """Compute the torque of drives, damping and rolling resistance on each shaft, N m.
 
     w: the full velocities.
     loads: the loads of the wheels, N; None for loads at rest.
     """
-    n = now.n
+    n = context.n
     rates = n.shaft_rates(w)
     out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
     speeds = drive_speeds(n, rates)
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
-        torque = n.motors[j].torque(now.u[j], speeds[j])
+        torque = n.motors[j].torque(context.u[j], speeds[j])
         for i, share in zip(drive.wheels, split, strict=True):
             shaft = n.wheels[i].shaft
             out[shaft] = add(out[shaft], mul(share, torque))
@@ -129,9 +129,9 @@ def shaft_torques(
     return out
 
 
-def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
-    """Compute the linear dampers of the shafts: axle damping, and the secants of the motors."""
-    n = now.n
+def motor_dampers(context: RobotContext, w: Sequence[Lane]) -> list[Damper]:
+    """Compute the linear dampers of the shafts: axle damping, and torque / speed of the motors."""
+    n = context.n
     rates = n.shaft_rates(w)
     first, speeds = len(w) - len(rates), drive_speeds(n, rates)
     units = [[1.0 if k == first + i else 0.0 for k in range(len(w))] for i in range(len(rates))]
@@ -141,5 +141,5 @@ def motor_dampers(now: RobotContext, w: Sequence[Lane]) -> list[Damper]:
         for i, share in zip(drive.wheels, split, strict=True):
             at = first + n.wheels[i].shaft
             row[at] = add(row[at], share)
-        out.append((n.motors[j].damping(now.u[j], speeds[j]), row))
+        out.append((n.motors[j].damping(context.u[j], speeds[j]), row))
     return out

@@ -149,20 +149,20 @@ def _checked(where: str, model: Any, state: Any, ctrl: Any) -> tuple[State, jax.
 
 @compiled
 def _reduced(model: Rolling, state: State, u: jax.Array) -> Reduced:
-    now = model.context(state, u)
-    w = model.full_velocities(now)
-    S = _matrix(columns_of(now.n, now.shape, rolling_velocities, model.nv), now.n)
-    return Reduced(S, *_terms(now, w, rolling_velocities, now.v))
+    context = model.context(state, u)
+    w = model.full_velocities(context)
+    S = _matrix(columns_of(context.n, context.shape, rolling_velocities, model.nv), context.n)
+    return Reduced(S, *_terms(context, w, rolling_velocities, context.v))
 
 
 @compiled
 def _undetermined(model: Rolling, state: State, u: jax.Array) -> Undetermined:
-    now = model.context(state, u)
-    n, w = now.n, model.full_velocities(now)
-    M, C, B, f, tau = _terms(now, w, identity, w)
-    units = columns_of(n, now.shape, identity, len(w))
-    A = _matrix([constraint_rates(n, now.shape, unit) for unit in units], n)
-    rates = constraint_rates(n, now.shape_with_rate(w), w)
+    context = model.context(state, u)
+    n, w = context.n, model.full_velocities(context)
+    M, C, B, f, tau = _terms(context, w, identity, w)
+    units = columns_of(n, context.shape, identity, len(w))
+    A = _matrix([constraint_rates(n, context.shape, unit) for unit in units], n)
+    rates = constraint_rates(n, context.shape_with_rate(w), w)
     bias = stack_lanes([rate_of(x) for x in rates], n.dtype)  # A' w
     free = jnp.linalg.solve(M, matvec(B, tau) + f - matvec(C, stack_lanes(w, n.dtype)))
     l = jnp.linalg.solve(A @ jnp.linalg.solve(M, A.T), -bias - matvec(A, free))
@@ -174,14 +174,18 @@ def _matrix(columns: Sequence[Sequence[Any]], n: Parameters) -> jax.Array:
 
 
 def _terms(
-    now: RobotContext, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
+    context: RobotContext, w: Sequence[Any], velocities: Velocities, nu: Sequence[Any]
 ) -> tuple[jax.Array, ...]:
-    """Compute M, C, B, f and tau in the velocities nu, which `velocities` maps to w."""
-    n, size, dtype = now.n, len(nu), now.n.dtype
+    """Compute the mass matrix M, Coriolis matrix C, input matrix B, other forces f, and drive
+    torques.
+
+    They are in the velocities nu, which `velocities` maps to the full velocities w.
+    """
+    n, size, dtype = context.n, len(nu), context.n.dtype
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
-    shape = now.shape_with_rate(w)
+    shape = context.shape_with_rate(w)
     parts = [motion_and_rate(n, shape, velocities, unit) for unit in units]
-    twists = inertial_motion(n, now.shape, w).twists
+    twists = inertial_motion(n, context.shape, w).twists
     basis = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
     C = jnp.zeros((size, size), dtype)
     for k, (body, V) in enumerate(zip(n.rigid, twists, strict=True)):
@@ -195,11 +199,11 @@ def _terms(
             stack_lanes([x.turns[i][1] for x in side], dtype) for side in zip(*parts, strict=True)
         )
         C = C + inertia * jnp.outer(j, dj)
-    columns = columns_of(n, now.shape, velocities, size)
+    columns = columns_of(n, context.shape, velocities, size)
     B = _matrix([drive_speeds(n, n.shaft_rates(column)) for column in columns], n).T
     speeds = drive_speeds(n, n.shaft_rates(w))
-    torques = [motor.torque(u, x) for motor, u, x in zip(n.motors, now.u, speeds, strict=False)]
+    torques = [motor.torque(u, x) for motor, u, x in zip(n.motors, context.u, speeds, strict=False)]
     tau = stack_lanes(torques, dtype)
-    M, right, _ = projected_equations(now, w, velocities, nu, shaft_torques(now, w))
+    M, right, _ = projected_equations(context, w, velocities, nu, shaft_torques(context, w))
     f = stack_lanes(right, dtype) + matvec(C, stack_lanes(nu, dtype)) - matvec(B, tau)
     return _matrix(M, n), C, B, f, tau

@@ -66,45 +66,45 @@ class RobotModel(Record):
         """The number of controls."""
         return self.robot.nu
 
-    def full_velocities(self, now: RobotContext) -> list[Lane]:
+    def full_velocities(self, context: RobotContext) -> list[Lane]:
         """Compute the full velocities w."""
         raise NotImplementedError(f"{type(self).__name__} has no method full_velocities")
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
+    def accelerations(self, context: RobotContext) -> list[Lane]:
         """Compute v'."""
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
-    def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
+    def damped_accelerations(self, context: RobotContext, h: Lane) -> list[Lane]:
         """Compute the mean of v' over a step h, with the damping forces at the end of the step."""
-        return self.accelerations(now)
+        return self.accelerations(context)
 
-    def tyre_rates(self, now: RobotContext) -> list[Lane]:
+    def tyre_rates(self, context: RobotContext) -> list[Lane]:
         """Compute x'."""
         return []
 
-    def project(self, now: RobotContext) -> list[Lane]:
+    def project(self, context: RobotContext) -> list[Lane]:
         """Project v on the velocity constraints after a step."""
-        return now.v
+        return context.v
 
-    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, context: RobotContext, w: list[Lane]) -> list[Lane]:
         """Compute v from full velocities w that the wheels allow."""
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
 
-    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
+    def wheel_forces(self, context: RobotContext) -> tuple[list[Lane], list[Pair]]:
         """Compute the loads of wheels, N, and the horizontal forces on them in body axes, N."""
         raise InputError(
             f"contacts: the fidelity is {self.name!r}, which has no forces of wheels; expected "
             "'slipping' or 'constrained'"
         )
 
-    def coordinate_rates(self, now: RobotContext) -> list[Lane]:
+    def coordinate_rates(self, context: RobotContext) -> list[Lane]:
         """Compute q'."""
-        return coordinate_rates(now, self.full_velocities(now))
+        return coordinate_rates(context, self.full_velocities(context))
 
-    def rates(self, now: RobotContext) -> tuple[list[Lane], list[Lane], list[Lane]]:
+    def rates(self, context: RobotContext) -> tuple[list[Lane], list[Lane], list[Lane]]:
         """Compute q', v', x'."""
-        rates = self.coordinate_rates(now)
-        return rates, self.accelerations(now), self.tyre_rates(now)
+        rates = self.coordinate_rates(context)
+        return rates, self.accelerations(context), self.tyre_rates(context)
 
     def context(self, state: State, u: Any = None) -> RobotContext:
         """Convert the parameters, a state and controls to lanes. Controls are zeros if None."""
@@ -116,7 +116,7 @@ class RobotModel(Record):
 
 
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
-    """Stack lists of lanes to a `State`."""
+    """Stack lists of coordinates, velocities and tyre states to a `State`."""
     tyres = stack_lanes(x, dtype) if len(x) else None
     return State(stack_lanes(q, dtype), stack_lanes(v, dtype), tyres)
 
@@ -189,11 +189,12 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
 
 
 def with_twist(model: RobotModel, q: jax.Array, twist: jax.Array) -> State:
-    """Make the state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
-    now = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
+    """Make the state at coordinates q (nq,) with a chassis twist (3,), projected on the allowed
+    twists."""
+    context = model.context(State(q, jnp.zeros(model.nv, q.dtype), jnp.zeros(model.nx, q.dtype)))
     V = Twist(*(twist[i] for i in range(3)))
-    w = rolling_velocities(now.n, now.shape, free_velocities(now.n, now.shape, V))
-    return as_state(now.q, model.start_velocities(now, w), now.x, q.dtype)
+    w = rolling_velocities(context.n, context.shape, free_velocities(context.n, context.shape, V))
+    return as_state(context.q, model.start_velocities(context, w), context.x, q.dtype)
 
 
 def rates(model: RobotModel, state: State, ctrl: Any) -> State:
@@ -277,10 +278,10 @@ def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
 
 @compiled
 def _contacts(model: RobotModel, state: State, u: jax.Array) -> Contacts:
-    now = model.context(state, u)
-    n, shape, dtype = now.n, now.shape, state.q.dtype
-    loads, forces = model.wheel_forces(now)
-    w = model.full_velocities(now)
+    context = model.context(state, u)
+    n, shape, dtype = context.n, context.shape, state.q.dtype
+    loads, forces = model.wheel_forces(context)
+    w = model.full_velocities(context)
     twists, rates = twists_of(n, shape, w), n.shaft_rates(w)
     sliding = []
     for i, wheel in enumerate(n.wheels):

@@ -60,19 +60,19 @@ class Kinematic(RobotModel):
     def nv(self) -> int:
         return 0
 
-    def full_velocities(self, now: RobotContext) -> list[Lane]:
-        n, shape = now.n, now.shape
+    def full_velocities(self, context: RobotContext) -> list[Lane]:
+        n, shape = context.n, context.shape
         units = columns_of(n, shape, rolling_velocities, n.robot.arrangement.mobility)
         columns = [drive_speeds(n, n.shaft_rates(w)) for w in units]
-        speeds = [motor.free_speed(u) for motor, u in zip(n.motors, now.u, strict=False)]
+        speeds = [motor.free_speed(u) for motor, u in zip(n.motors, context.u, strict=False)]
         M = [[inner(x, y) for y in columns] for x in columns]
         f = [inner(x, speeds) for x in columns]
         return rolling_velocities(n, shape, ldlt(M).solve(f))
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
+    def accelerations(self, context: RobotContext) -> list[Lane]:
         return []
 
-    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, context: RobotContext, w: list[Lane]) -> list[Lane]:
         return []
 
 
@@ -83,22 +83,22 @@ class Rolling(RobotModel):
     def nv(self) -> int:
         return self.robot.arrangement.mobility
 
-    def full_velocities(self, now: RobotContext) -> list[Lane]:
-        return rolling_velocities(now.n, now.shape, now.v)
+    def full_velocities(self, context: RobotContext) -> list[Lane]:
+        return rolling_velocities(context.n, context.shape, context.v)
 
-    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
-        return free_velocities(now.n, now.shape, Twist(*w[:3]))
+    def start_velocities(self, context: RobotContext, w: list[Lane]) -> list[Lane]:
+        return free_velocities(context.n, context.shape, Twist(*w[:3]))
 
-    def ground_forces(self, now: RobotContext) -> list[Lane]:
+    def ground_forces(self, context: RobotContext) -> list[Lane]:
         """Compute the generalized forces of the ground, M w' - f, that make the wheels roll.
 
         These are the force on the robot in the chassis' axes, N, the moments, and the torques on
         the shafts, N m.
         """
-        w = self.full_velocities(now)
-        nu = duals(now.v, self.accelerations(now))
-        rate = [rate_of(x) for x in rolling_velocities(now.n, now.shape_with_rate(w), nu)]
-        M, f, _ = projected_equations(now, w, identity, w, shaft_torques(now, w))
+        w = self.full_velocities(context)
+        nu = duals(context.v, self.accelerations(context))
+        rate = [rate_of(x) for x in rolling_velocities(context.n, context.shape_with_rate(w), nu)]
+        M, f, _ = projected_equations(context, w, identity, w, shaft_torques(context, w))
         return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
 
@@ -118,15 +118,17 @@ class Kinematical(Rolling):
 
     name: ClassVar[str] = "kinematical"
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
-        return self._equations(now, self.full_velocities(now)).accelerations
+    def accelerations(self, context: RobotContext) -> list[Lane]:
+        return self._equations(context, self.full_velocities(context)).accelerations
 
-    def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
-        w = self.full_velocities(now)
-        return self._equations(now, w).damped(motor_dampers(now, w), h)
+    def damped_accelerations(self, context: RobotContext, h: Lane) -> list[Lane]:
+        w = self.full_velocities(context)
+        return self._equations(context, w).damped(motor_dampers(context, w), h)
 
-    def _equations(self, now: RobotContext, w: list[Lane]) -> Equations:
-        return projected_equations(now, w, rolling_velocities, now.v, shaft_torques(now, w))
+    def _equations(self, context: RobotContext, w: list[Lane]) -> Equations:
+        return projected_equations(
+            context, w, rolling_velocities, context.v, shaft_torques(context, w)
+        )
 
 
 class Dynamical(Rolling):
@@ -145,10 +147,10 @@ class Dynamical(Rolling):
 
     name: ClassVar[str] = "dynamical"
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
-        n, shape, w = now.n, now.shape, self.full_velocities(now)
-        moved = now.shape_with_rate(w)
-        M, f, _ = projected_equations(now, w, identity, w, shaft_torques(now, w))
+    def accelerations(self, context: RobotContext) -> list[Lane]:
+        n, shape, w = context.n, context.shape, self.full_velocities(context)
+        moved = context.shape_with_rate(w)
+        M, f, _ = projected_equations(context, w, identity, w, shaft_torques(context, w))
         factors = ldlt(M)
         free = factors.solve(f)
         units = columns_of(n, shape, identity, len(w))
@@ -169,7 +171,7 @@ class Dynamical(Rolling):
             total([x, *(mul(lifted[i][k], l[i]) for i in range(size))]) for k, x in enumerate(free)
         ]
         # nu' = S^+ (w' - S' nu)
-        given = chassis_twist(n, moved, now.v)
+        given = chassis_twist(n, moved, context.v)
         V = Twist(*(sub(a, rate_of(b)) for a, b in zip(rate[:3], given, strict=True)))
         return free_velocities(n, shape, V)
 
@@ -198,10 +200,10 @@ class QuasiVelocities(Rolling):
 
     name: ClassVar[str] = "quasi_velocities"
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
-        n, dtype, free = now.n, now.n.dtype, self.full_velocities(now)
-        s, ds = (stack_lanes(x, dtype) for x in (angles_of(now), angle_rates(now, free)))
-        nu = stack_lanes(now.v, dtype)
+    def accelerations(self, context: RobotContext) -> list[Lane]:
+        n, dtype, free = context.n, context.n.dtype, self.full_velocities(context)
+        s, ds = (stack_lanes(x, dtype) for x in (angles_of(context), angle_rates(context, free)))
+        nu = stack_lanes(context.v, dtype)
 
         def quasi(s: jax.Array, nu: jax.Array) -> jax.Array:
             shape = shape_of(n, list(s))
@@ -220,7 +222,7 @@ class QuasiVelocities(Rolling):
             return jax.jvp(impulse, (s, w), (ds, rate))[1]
 
         carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
-        Q = self._forces(now, s, free).at[:3].add(-carried)
+        Q = self._forces(context, s, free).at[:3].add(-carried)
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
         Q = Q.at[3 : 3 + k].add(by_angles[:k])
         Q = Q.at[len(w) - casters :].add(by_angles[len(s) - casters :])
@@ -237,19 +239,19 @@ class QuasiVelocities(Rolling):
         M = [[columns[j][i] for j in size] for i in size]
         return ldlt(M).solve([f[i] for i in size])
 
-    def _forces(self, now: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
+    def _forces(self, context: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
         """Compute Q: minus the gradient of the potential energy, plus the torques on shafts."""
-        n, dtype = now.n, now.n.dtype
+        n, dtype = context.n, context.n.dtype
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
-            q = [*pose, *s, *now.q[n.layout.shafts.start :]]
-            return jnp.asarray(potential_energy(replace(now, q=q)), dtype)
+            q = [*pose, *s, *context.q[n.layout.shafts.start :]]
+            return jnp.asarray(potential_energy(replace(context, q=q)), dtype)
 
-        by_pose, by_angles = jax.grad(potential, (0, 1))(stack_lanes(now.q[:3], dtype), s)
-        c, si = now.pose
+        by_pose, by_angles = jax.grad(potential, (0, 1))(stack_lanes(context.q[:3], dtype), s)
+        c, si = context.pose
         x, y = c * by_pose[0] + si * by_pose[1], c * by_pose[1] - si * by_pose[0]
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
-        torques = stack_lanes(shaft_torques(now, free), dtype)
+        torques = stack_lanes(shaft_torques(context, free), dtype)
         return jnp.concatenate(
             [-jnp.stack([x, y, by_pose[2]]), -by_angles[:k], torques,
              -by_angles[len(s) - casters :]],

@@ -102,19 +102,21 @@ class Slipping(RobotModel):
     def nx(self) -> int:
         return sum(tyre.size for tyre in self.tyres)
 
-    def full_velocities(self, now: RobotContext) -> list[Lane]:
-        return now.v
+    def full_velocities(self, context: RobotContext) -> list[Lane]:
+        return context.v
 
-    def start_velocities(self, now: RobotContext, w: list[Lane]) -> list[Lane]:
+    def start_velocities(self, context: RobotContext, w: list[Lane]) -> list[Lane]:
         return w
 
-    def contacts(self, now: RobotContext) -> tuple[list[Pair], list[Lane]]:
-        """Compute the traction of each wheel, and the rates of the tyre states. The traction is the
-        force per newton of load, along the wheel's heading and to its left."""
-        n, used = now.n, 0
+    def contacts(self, context: RobotContext) -> tuple[list[Pair], list[Lane]]:
+        """Compute the traction of each wheel and the rates of the tyre states.
+
+        The traction is the force per newton of load, along the wheel's heading and to its left.
+        """
+        n, used = context.n, 0
         out, states = [], []
         for wheel, law, (along, across, roll) in zip(
-            n.wheels, self.tyres, _contact_velocities(now, now.v), strict=True
+            n.wheels, self.tyres, _contact_velocities(context, context.v), strict=True
         ):
             tyre = with_lanes(law, n.dtype)
             slides = _sliding(wheel, along, across, roll)
@@ -124,53 +126,57 @@ class Slipping(RobotModel):
                 pull, c = _traction(tyre, slides[0], roll), _cosine(wheel)
                 out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
             else:
-                z = now.x[used : used + tyre.size]
+                z = context.x[used : used + tyre.size]
                 used += tyre.size
                 pull, rate = tyre.response(along, across, roll, z)
                 out.append(pull)
                 states.extend(rate)
         return out, states
 
-    def wheel_forces(self, now: RobotContext) -> tuple[list[Lane], list[Pair]]:
-        pulls, _ = self.contacts(now)
-        pulls = [rotate(pull, e) for pull, e in zip(pulls, now.shape.wheels, strict=True)]
-        loads = wheel_loads(now.n, pulls)
+    def wheel_forces(self, context: RobotContext) -> tuple[list[Lane], list[Pair]]:
+        pulls, _ = self.contacts(context)
+        pulls = [rotate(pull, e) for pull, e in zip(pulls, context.shape.wheels, strict=True)]
+        loads = wheel_loads(context.n, pulls)
         return loads, [
             (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
         ]
 
-    def accelerations(self, now: RobotContext) -> list[Lane]:
-        return self._equations(now)[0].accelerations
+    def accelerations(self, context: RobotContext) -> list[Lane]:
+        return self._equations(context)[0].accelerations
 
-    def damped_accelerations(self, now: RobotContext, h: Lane) -> list[Lane]:
-        equations, loads = self._equations(now)
-        dampers = self._contact_dampers(now, loads, h) + motor_dampers(now, now.v)
+    def damped_accelerations(self, context: RobotContext, h: Lane) -> list[Lane]:
+        equations, loads = self._equations(context)
+        dampers = self._contact_dampers(context, loads, h) + motor_dampers(context, context.v)
         return equations.damped(dampers, h)
 
-    def _equations(self, now: RobotContext) -> tuple[Equations, list[Lane]]:
+    def _equations(self, context: RobotContext) -> tuple[Equations, list[Lane]]:
         """Compute the equations of motion, and the loads of wheels."""
-        n = now.n
-        loads, forces = self.wheel_forces(now)
-        wrenches, torques = gravity_wrenches(now), shaft_torques(now, now.v, loads)
-        for wheel, e, force in zip(n.wheels, now.shape.wheels, forces, strict=True):
+        n = context.n
+        loads, forces = self.wheel_forces(context)
+        wrenches, torques = gravity_wrenches(context), shaft_torques(context, context.v, loads)
+        for wheel, e, force in zip(n.wheels, context.shape.wheels, forces, strict=True):
             moment = cross(wheel.position, force)
             wrenches[wheel.body] = wrenches[wheel.body] + Twist(*force, moment)
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
             torques[wheel.shaft] = add(torques[wheel.shaft], braking)
-        return projected_equations(now, now.v, identity, now.v, torques, wrenches), loads
+        return projected_equations(
+            context, context.v, identity, context.v, torques, wrenches
+        ), loads
 
-    def _contact_dampers(self, now: RobotContext, loads: Sequence[Lane], h: Lane) -> list[Damper]:
+    def _contact_dampers(
+        self, context: RobotContext, loads: Sequence[Lane], h: Lane
+    ) -> list[Damper]:
         """Compute the linear dampers on the sliding velocities of contacts."""
-        n = now.n
+        n = context.n
 
         def sliding(w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
-            velocities = _contact_velocities(now, w)
+            velocities = _contact_velocities(context, w)
             return [_sliding(wheel, *u) for wheel, u in zip(n.wheels, velocities, strict=True)]
 
-        columns = [sliding(unit) for unit in columns_of(n, now.shape, identity, self.nv)]
-        rates = n.shaft_rates(now.v)
+        columns = [sliding(unit) for unit in columns_of(n, context.shape, identity, self.nv)]
+        rates = n.shaft_rates(context.v)
         out: list[Damper] = []
-        for i, slides in enumerate(sliding(now.v)):
+        for i, slides in enumerate(sliding(context.v)):
             wheel = n.wheels[i]
             roll, across = mul(wheel.radius, rates[wheel.shaft]), (*slides, 0.0)[1]
             found = with_lanes(self.tyres[i], n.dtype).damping(slides[0], across, roll, h)
@@ -179,16 +185,16 @@ class Slipping(RobotModel):
                 out.append((mul(load, found[k]), [column[i][k] for column in columns]))
         return out
 
-    def tyre_rates(self, now: RobotContext) -> list[Lane]:
-        return self.contacts(now)[1] if self.nx else []
+    def tyre_rates(self, context: RobotContext) -> list[Lane]:
+        return self.contacts(context)[1] if self.nx else []
 
 
-def _contact_velocities(now: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, Lane, Lane]]:
+def _contact_velocities(context: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, Lane, Lane]]:
     """Compute, for each wheel, the velocity of its centre along and across it, and r phi', m/s."""
-    n = now.n
-    twists, rates = twists_of(n, now.shape, w), n.shaft_rates(w)
+    n = context.n
+    twists, rates = twists_of(n, context.shape, w), n.shaft_rates(w)
     return [
-        (*contact_velocity(n, now.shape, twists, i), mul(wheel.radius, rates[wheel.shaft]))
+        (*contact_velocity(n, context.shape, twists, i), mul(wheel.radius, rates[wheel.shaft]))
         for i, wheel in enumerate(n.wheels)
     ]
 

@@ -87,13 +87,13 @@ class RobotSystem(System):
 
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
         model, dtype = self.model, state.q.dtype
-        now = model.context(state, ctrl)
+        context = model.context(state, ctrl)
         h = jnp.asarray(dt, dtype) / self.parts
 
         def once(y: tuple, _: Any) -> tuple[tuple, None]:
-            return advance(model, now.n, y, now.u, h, self.integrator), None
+            return advance(model, context.n, y, context.u, h, self.integrator), None
 
-        y = now.q, now.v, now.x
+        y = context.q, context.v, context.x
         if self.parts == 1:
             q, v, x = once(y, None)[0]
         else:

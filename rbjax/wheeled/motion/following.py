@@ -111,10 +111,10 @@ def commands(robot: Robot, twist: Any) -> Commands:
 def _commands(robot: Robot, twist: jax.Array) -> Commands:
     dtype = twist.dtype
     model = Kinematical(robot)
-    now = model.context(State(jnp.zeros(model.nq, dtype), jnp.zeros(model.nv, dtype)))
-    n = now.n
+    context = model.context(State(jnp.zeros(model.nq, dtype), jnp.zeros(model.nv, dtype)))
+    n = context.n
     V = Twist(*(twist[i] for i in range(3)))
-    q, angles = list(now.q), []
+    q, angles = list(context.q), []
     for j, steering in enumerate(robot.steerings):
         leader = next(
             (x for x in robot.arrangement.leaders if x.what == "steering" and x.number == j), None
@@ -128,7 +128,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
         angle = jnp.arctan2(sign * side, jnp.where(still, 1.0, sign * ahead))
         angles.append(angle)
         q[n.layout.steerings.start + j] = angle
-    shape = replace(now, q=q).shape
+    shape = replace(context, q=q).shape
     w = rolling_velocities(n, shape, free_velocities(n, shape, V))
     speeds = drive_speeds(n, n.shaft_rates(w))
     return Commands(stack_lanes(speeds, dtype), stack_lanes(angles, dtype))

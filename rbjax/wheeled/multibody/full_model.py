@@ -185,7 +185,7 @@ def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
 
 
 def _turned(heading: Lane) -> Sequence[Lane]:
-    """Compute the quaternion of a rotation about the vertical."""
+    """Compute the quaternion of a rotation about the vertical by the angle `heading`."""
     c, s = direction(mul(0.5, heading))
     return c, 0.0, 0.0, s
 
@@ -195,7 +195,7 @@ def _least(a: Lane, b: Lane) -> Lane:
 
 
 def _geared(n: Parameters, i: int) -> Lane:
-    """Compute the inertia at a wheel of the motors that drive only this wheel."""
+    """Compute the inertia of the motors that drive only wheel i, as seen at its axle, kg m^2."""
     out: Lane = 0.0
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         if drive.wheels == (i,):
@@ -258,7 +258,7 @@ def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Cons
 
 
 def contact_ways(n: Parameters, i: int) -> tuple[str, ...]:
-    """Return the directions in which a wheel does not slide, as defined by `WheelContact`."""
+    """Return the directions in which wheel i does not slide: names of `WheelContact.ways`."""
     wheel = n.wheels[i]
     sets = n.layout.setters[wheel.shaft] == i
     if wheel.kind == "rollers":

@@ -129,7 +129,7 @@ class Tree:
 
 
 def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
-    """Stack rows of lanes, as a numpy array if all are known."""
+    """Stack rows of lanes, as a numpy array if all lanes are constants."""
     lanes = [x for row in rows for x in row]
     if all(map(is_literal, lanes)):
         return np.array(lanes)
@@ -137,6 +137,6 @@ def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
 
 
 def _known(rows: Sequence[Lanes], units: bool) -> tuple:
-    """Return the structural zeros of rows, and if `units` also the literals 1 and -1."""
+    """Return each entry that is the constant 0 (if `units`, also 1 and -1), else None."""
     known = (0.0, 1.0, -1.0) if units else (0.0,)
     return tuple(x if is_literal(x) and x in known else None for row in rows for x in row)

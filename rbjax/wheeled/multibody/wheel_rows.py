@@ -25,7 +25,7 @@ from rbjax.constraints.rows.geometry import Y, Z
 from rbjax.constraints.rows.rolling import slip, swept
 from rbjax.errors import UnknownName
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import check_places
+from rbjax.forces.place import check_places, end
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
@@ -63,8 +63,8 @@ class WheelContact(Constraint):
         1
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     radius: jax.Array = eqx.field(converter=floats)
     roller: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
     ways: tuple[str, ...] = eqx.field(static=True, default=("ahead", "left"))
@@ -82,9 +82,9 @@ class WheelContact(Constraint):
     def size(self) -> int:
         return len(self.ways) + self.touches
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        A, B = self.a.frame(now), self.b.frame(now)
-        radius, dtype = scalar(self.radius, now.q.dtype), now.q.dtype
+    def rows(self, context: Context) -> Sequence[Row]:
+        A, B = self.a.frame(context), self.b.frame(context)
+        radius, dtype = scalar(self.radius, context.q.dtype), context.q.dtype
         n, dn = swept(A, Z)
         ways = _ways(A, B)
         if "roller" in self.ways:
@@ -97,7 +97,7 @@ class WheelContact(Constraint):
 
 
 def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
-    """Compute the directions ahead and to the left, on the ground, with their rates."""
+    """Compute the directions ahead and to the left of wheel B on the ground A, with their rates."""
     (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
     ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)
     return {
@@ -121,9 +121,9 @@ class SteeringRate(Constraint):
     def __check_init__(self) -> None:
         check_number(self, "rate")
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        rate = scalar(self.rate, now.q.dtype)
-        return [coordinate(now, self.joint).time_derivative - rate]
+    def rows(self, context: Context) -> Sequence[Row]:
+        rate = scalar(self.rate, context.q.dtype)
+        return [coordinate(context, self.joint).time_derivative - rate]
 
 
 class Linkage(Constraint):
@@ -143,13 +143,13 @@ class Linkage(Constraint):
     column: str = eqx.field(static=True)
     size = 1
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        b = coordinate(now, self.column)
-        n = parameters_of(self.robot, now.q.dtype)
+    def rows(self, context: Context) -> Sequence[Row]:
+        b = coordinate(context, self.column)
+        n = parameters_of(self.robot, context.q.dtype)
         first, second, angle = linked(n, self.steering, self.wheel, b.value)
         acceleration = add(mul(first, b.acceleration), mul(second, mul(b.rate, b.rate)))
         target = Row(angle, mul(first, b.rate), b.gradient * first, acceleration)
-        return [coordinate(now, self.joint) - target]
+        return [coordinate(context, self.joint) - target]
 
 
 def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
@@ -181,9 +181,9 @@ class Differential(Constraint):
     wheels: tuple[str, ...] = eqx.field(static=True)
     size = 1
 
-    def rows(self, now: Context) -> Sequence[Row]:
-        out = coordinate(now, self.joint)
-        shares = numbers(self.split, now.q.dtype)
+    def rows(self, context: Context) -> Sequence[Row]:
+        out = coordinate(context, self.joint)
+        shares = numbers(self.split, context.q.dtype)
         for wheel, share in zip(self.wheels, shares, strict=True):
-            out = out - coordinate(now, wheel) * share
+            out = out - coordinate(context, wheel) * share
         return [out]

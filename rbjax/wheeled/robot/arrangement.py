@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Leader:
-    """The source of an independent row: a fixed wheel, a steering, or the axis of skidding wheels.
+    """The source of an independent constraint row: a fixed wheel, a steering, or skidding wheels.
 
     what: "wheel", "steering" or "skidding".
     number: the index of the wheel or steering.
@@ -110,7 +110,7 @@ def arrange(robot: Robot) -> Arrangement:
 
 
 def _sources(robot: Robot) -> list[Leader]:
-    """Return the sources of all rows of the chassis, fixed wheels first."""
+    """Return the sources of all constraint rows of the chassis, fixed wheels first."""
     out = [
         Leader("wheel", i, _is_backward(wheel))
         for i, wheel in enumerate(robot.wheels)
@@ -154,13 +154,17 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
 
 
 def _zero(robot: Robot) -> float:
-    """Return the relative tolerance of the rank. In f32 a heading of pi has an error of 1e-7."""
+    """Return the relative tolerance of the rank. It allows for the error 1e-7 of a heading pi in
+    f32."""
     dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
     return rank_tolerance("wheels", dtype)
 
 
 def _trailing(robot: Robot, k: int) -> int:
-    """Find the leading wheel of a trailer, and check that its other wheels agree."""
+    """Return the leading wheel of trailer k.
+
+    Raise `InputError` unless the axles of its other wheels give the same constraint.
+    """
     body = robot.bodies[k]
     wheels = [
         i for i, w in enumerate(robot.wheels) if w.body == k and w.kind == "fixed" and not w.skids

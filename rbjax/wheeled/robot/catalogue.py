@@ -242,7 +242,7 @@ def kinds() -> dict[str, Kind]:
 def _pulling(
     make: Callable[..., Robot], number: int, hitch: float, **trailer: Any
 ) -> Callable[..., Robot]:
-    """Make a maker of robots with trailers from a maker of robots."""
+    """Return a function that makes a robot with trailers, from a function that makes a robot."""
 
     @functools.wraps(make)
     def both(**numbers: Any) -> Robot:
@@ -252,7 +252,8 @@ def _pulling(
 
 
 def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
-    """Wrap a maker so that it raises `UnknownName` for a parameter that the kind does not have."""
+    """Wrap a function that makes a robot, to raise `UnknownName` for a parameter that it does not
+    have."""
     valid = list(inspect.signature(make).parameters)
 
     @functools.wraps(make)

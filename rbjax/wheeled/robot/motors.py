@@ -64,14 +64,14 @@ class Motor(Record):
         """Compute the no-load speed, rad/s, at which `torque` is zero."""
 
     def command_for(self, speed: Lane) -> Lane:
-        """Compute the command with the no-load speed `speed`, rad/s, for `Commands.controls`."""
+        """Compute the command whose no-load speed is `speed`, rad/s."""
         raise InputError(
             f"{type(self).__name__} does not define `command_for(speed)`, the inverse of "
             "`free_speed`; give the class this method, or compute the controls yourself"
         )
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
-        """Compute the secant damping torque / (no-load speed - speed), N m s/rad."""
+        """Compute the damping torque / (no-load speed - speed), N m s/rad."""
         return 0.0
 
     def heat(self, u: Lane, speed: Lane) -> Lane:
@@ -182,7 +182,7 @@ class DCMotor(Motor):
 
     @property
     def command_range(self) -> tuple[Lane, Lane]:
-        """Plus and minus three times the battery, where V is within 0.5 % of its limit."""
+        """Plus and minus three times the battery voltage. There V is within 0.5 % of its limit."""
         return -3 * self.battery, 3 * self.battery
 
     @property
@@ -191,7 +191,7 @@ class DCMotor(Motor):
 
     @property
     def _constant(self) -> Lane:
-        """The torque constant at the shaft, n K."""
+        """The torque constant at the shaft: gear ratio times motor constant, N m/A."""
         return self.gear * self.torque_constant
 
     def current(self, u: Lane, speed: Lane) -> Lane:

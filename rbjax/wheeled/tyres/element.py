@@ -33,7 +33,7 @@ from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.wheeled.fields import check_ranges, number
@@ -97,8 +97,8 @@ class TyreOnGround(Element):
         [-79.6, 0.0, 99.5]
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     tyre: Tyre | Relaxing
     radius: jax.Array = number()
     stiffness: jax.Array = number()
@@ -129,9 +129,9 @@ class TyreOnGround(Element):
     def size(self) -> int:
         return self.tyre.size
 
-    def contact(self, now: Context) -> Contact:
+    def contact(self, context: Context) -> Contact:
         """Compute the contact point, load, sliding velocity and traction."""
-        A, B, own = self.a.frame(now), self.b.frame(now), self._in(now)
+        A, B, own = self.a.frame(context), self.b.frame(context), self._in(context)
         n, e = A.rotation @ Z, B.rotation @ Z
         away = B.position - A.position
         x, cosine = e.cross(n), n.dot(e)
@@ -151,27 +151,33 @@ class TyreOnGround(Element):
         load = stop_force(depth, -n.dot(u) * flat, *onset) * flat
         vx, vy = u.dot(x), u.dot(y)
         rolls = lever * (spin - cosine * heading)
-        mu, rates = own.tyre.response(vx + rolls, vy, rolls, now.x)
+        mu, rates = own.tyre.response(vx + rolls, vy, rolls, context.x)
         p = B.position + arm
         return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
 
-    def loads(self, now: Context) -> Loads:
-        at, A, B = now.once(self, lambda: self.contact(now)), self.a.frame(now), self.b.frame(now)
+    def loads(self, context: Context) -> Loads:
+        at, A, B = (
+            context.once(self, lambda: self.contact(context)),
+            self.a.frame(context),
+            self.b.frame(context),
+        )
         F = (at.n + at.x * at.mu[0] + at.y * at.mu[1]) * at.load
-        torque, resistance = Vec3.zero(), self._in(now).resistance
+        torque, resistance = Vec3.zero(), self._in(context).resistance
         if resistance is not None:
             drag = resistance.torque(at.load, at.lever, at.lever * at.spin)
             torque = (B.rotation @ Z) * drag
         return opposed(B.push(F, torque, at=at.p), A.push(-F, -torque, at=at.p))
 
-    def rate(self, now: Context) -> Any:
-        return now.once(self, lambda: self.contact(now)).rates
+    def rate(self, context: Context) -> Any:
+        return context.once(self, lambda: self.contact(context)).rates
 
-    def energy(self, now: Context) -> Lane:
+    def energy(self, context: Context) -> Lane:
         """Compute the energy of the spring, and of the carcass of a `Relaxing` tyre."""
-        at, own = now.once(self, lambda: self.contact(now)), self._in(now)
-        return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(now.x)
+        at, own = context.once(self, lambda: self.contact(context)), self._in(context)
+        return stop_energy(at.depth, own.stiffness, own.onset) + at.load * own.tyre.stored(
+            context.x
+        )
 
-    def _in(self, now: Context) -> TyreOnGround:
-        """Return a copy in the dtype of the motion."""
-        return jax.tree.map(lambda x: jnp.asarray(x, now.q.dtype), self)
+    def _in(self, context: Context) -> TyreOnGround:
+        """Return a copy with parameters in the dtype of the motion."""
+        return jax.tree.map(lambda x: jnp.asarray(x, context.q.dtype), self)

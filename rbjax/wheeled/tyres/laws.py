@@ -82,8 +82,7 @@ class Coulomb(Tyre):
 
 
 def _root(square: Lane) -> Lane:
-    """Compute the square root; near zero return zero with zero derivatives, which would
-    overflow."""
+    """Compute a square root. Near zero it is zero with zero derivatives, to avoid overflow."""
     some = square > jnp.finfo(jnp.result_type(square)).tiny ** (1 / 3)
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
 

@@ -88,8 +88,11 @@ class Relaxing(Record):
         return (mu[0], mu[1]), (rates[0], rates[1])
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
-        """Compute c (h + tau) G / (G + c v tau), s/m, the damping of the sliding velocity. It is
-        the implicit damping by the traction at the end of a step h."""
+        """Compute the damping c (h + tau) G / (G + c v tau) of the sliding velocity, s/m.
+
+        G is the secant of the law, v the rolling speed, c and tau stiffness and damping time of the
+        carcass. It is the implicit damping by the traction at the end of a step h.
+        """
         v = self.law.reference_speed(roll_speed)
         secants = self.law.secants(vx / v, vy / v)
         along, across = (

@@ -77,7 +77,7 @@ class Tyre(Record):
 
     @property
     def size(self) -> int:
-        """The number of states, which is zero."""
+        """The number of states, zero for a law without relaxation."""
         return 0
 
     @property
@@ -93,29 +93,39 @@ class Tyre(Record):
 
     @abc.abstractmethod
     def secants(self, sx: Lane, sy: Lane) -> Pair:
-        """Compute the secants G_x and G_y, above 0, at the slip s."""
+        """Compute the secants G_x, G_y of the law, above 0: traction over slip on each axis."""
 
     def traction(self, sx: Lane, sy: Lane) -> Pair:
-        """Compute the force on the wheel per newton of load, -(G_x s_x, G_y s_y)."""
+        """Compute the force on the wheel per newton of load: minus secant times slip, along and
+        across."""
         along, across = self.secants(sx, sy)
         return -along * sx, -across * sy
 
     def reference_speed(self, roll_speed: Lane) -> Lane:
-        """Compute sqrt((r phi')^2 + v_n^2), m/s, the denominator of the slip."""
+        """Compute the denominator of the slip, sqrt(roll_speed^2 + smooth_speed^2), m/s."""
         return jnp.sqrt(roll_speed * roll_speed + self.smooth_speed * self.smooth_speed)
 
     def slip(self, ux: Lane, uy: Lane, roll_speed: Lane) -> Pair:
-        """Compute the slip s from the wheel centre's velocity u in the wheel's axes, and r phi',
-        m/s."""
+        """Compute the slip (along, across) from the velocity of the wheel's centre and the rolling
+        speed.
+
+        ux, uy: the velocity of the centre in the wheel's axes, m/s. roll_speed: radius times wheel
+            rate, m/s.
+        """
         inverse = 1 / self.reference_speed(roll_speed)
         return (ux - roll_speed) * inverse, uy * inverse
 
     def response(self, ux: Lane, uy: Lane, roll_speed: Lane, z: Any = ()) -> tuple[Pair, Any]:
-        """Compute the traction from u and r phi', and the rate of the state z, which is empty."""
+        """Compute the traction (along, across), and the rates of the state z, which is empty.
+
+        ux, uy: the velocity of the centre in the wheel's axes, m/s. roll_speed: radius times wheel
+            rate, m/s.
+        """
         return self.traction(*self.slip(ux, uy, roll_speed)), ()
 
     def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
-        """Compute G_i / sqrt((r phi')^2 + v_n^2), s/m, the damping of the sliding velocity v_s.
+        """Compute the damping of the sliding velocity, secant / `reference_speed`, along and
+        across, s/m.
 
         h: the step, s, which only laws with a state use.
         """
@@ -124,7 +134,7 @@ class Tyre(Record):
         return along * inverse, across * inverse
 
     def stored(self, z: Any = ()) -> Lane:
-        """Return the energy of the state per newton of load, m, which is zero."""
+        """Return the stored energy per newton of load, m: zero for a law without relaxation."""
         return 0.0
 
 

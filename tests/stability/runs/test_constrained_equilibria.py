@@ -87,8 +87,8 @@ def test_what_has_no_equilibrium_is_reported() -> None:
     class Speed(rc.Constraint):
         size = 1
 
-        def rows(self, now: rb.forces.Context) -> list[rc.Row]:
-            return [rc.coordinate(now, 0).time_derivative - 0.3]
+        def rows(self, context: rb.forces.Context) -> list[rc.Row]:
+            return [rc.coordinate(context, 0).time_derivative - 0.3]
 
     with pytest.raises(rb.InputError, match="demand rates of 3"):
         moving = HINGED.with_constraints(Speed())

@@ -62,7 +62,7 @@ SOFT = 0.5  # equations hold to eps^0.5 times the change of their multipliers
 
 
 class Iterate(NamedTuple):
-    """The state between two iterations."""
+    """The state of the interior point method between two iterations."""
 
     point: Point
     multipliers: Multipliers
@@ -142,7 +142,8 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     history = begin.costs.shape[0]
 
     def direction(path: Condensed, end: End, gaps: jax.Array, now: Iterate) -> tuple:
-        """Return gains, and the smallest regularisation for which they exist."""
+        """Compute the Riccati gains of a Newton step, and the smallest regularisation that makes it
+        exist."""
 
         def harder(x: tuple) -> tuple:
             again = jnp.maximum(LEAST_REG, now.reg / EASIER)

@@ -32,7 +32,11 @@ from rbjax.solvers.tableau import Tableau
 
 
 class Inner(NamedTuple):
-    """The unknowns within a step: controls us (s, m), and rates K (s, n) of the state."""
+    """The unknowns within a step.
+
+    us: controls of the stages, (s, m).
+    K: rates of the state at the stages, (s, n).
+    """
 
     us: jax.Array
     rates: jax.Array
@@ -60,14 +64,16 @@ def tableau_arrays(table: Tableau, dtype: Any) -> tuple[jax.Array, jax.Array, ja
 
 
 def combine(weights: jax.Array, rates: jax.Array) -> jax.Array:
-    """Return sum_j w_ij K_j, or sum_j w_j K_j."""
+    """Return the weighted sums sum_j w_ij K_j of the rates K_j, for weights (s, s) or (s,)."""
     return (weights[..., None] * rates).sum(-2)
 
 
 def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return f (n,), running cost () and constraint rows (c,) at knot (+) xi. where: k + c_i."""
+    """Return the state rate f (n,), running cost () and constraint rows (c,) at the state knot (+)
+    xi. where: k + c_i, the fractional index of the stage.
+    """
     system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.parameters)
@@ -76,14 +82,14 @@ def at_stage(
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
-    """Return x (+) h sum_i b_i K_i."""
+    """Return the knot after a step: x (+) h sum_i b_i K_i, from the rates K_i of the stages."""
     system, dt = problem.at(knot.parameters)
     _, b, _ = tableau_arrays(table, rates.dtype)
     return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
 
 
 def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
-    """Evaluate the stages of step k."""
+    """Evaluate rates, costs and constraint rows at the stages of step k."""
     a, b, c = tableau_arrays(table, inner.rates.dtype)
     _, dt = problem.at(knot.parameters)
     xi = dt * combine(a, inner.rates)
@@ -154,19 +160,25 @@ class Rows(NamedTuple):
         return jnp.where(self.equal, self.y, self.duals.zu - self.duals.zl)
 
     def off(self, values: jax.Array) -> jax.Array:
-        """Return the values minus slacks; for equations, the values minus the bound."""
+        """Return the residuals of the rows: values minus slacks, or minus bounds for equations."""
         return values - jnp.where(self.equal, self.low, self.slack)
 
 
 class Weights(NamedTuple):
-    """Weights, each (): the barrier parameter mu, and soft, the inverse penalty of constraints."""
+    """The weights of the barrier and of the constraints, each ().
+
+    mu: the barrier parameter. soft: the inverse penalty of the constraints.
+    """
 
     mu: jax.Array
     soft: jax.Array
 
 
 class Condensed(NamedTuple):
-    """A step with eliminated stages: dK = Z e + offset, d rows = C e + more, e = (dx, du)."""
+    """A step whose stages are eliminated, with e = (dx, du).
+
+    dK = Z e + offset,   d rows = C e + more
+    """
 
     A: jax.Array
     B: jax.Array
@@ -180,7 +192,7 @@ class Condensed(NamedTuple):
 
 
 class End(NamedTuple):
-    """The end: its second-order cost, the Jacobian C of its constraint rows, and the rows."""
+    """The end of the horizon: second-order cost, constraint rows, and their Jacobian C."""
 
     cost: Quadratic
     C: jax.Array
@@ -188,7 +200,7 @@ class End(NamedTuple):
 
 
 def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array]:
-    """Return y and weight, such that y + weight * (d rows) are the multipliers after a step."""
+    """Return y and weight, with y + weight * (d rows) the multipliers after a Newton step."""
     wall, stiff, share = _springs(rows, w)
     off = rows.off(values)
     y = wall + share * (stiff * w.soft * (rows.centre - wall) + stiff * off)

@@ -144,7 +144,7 @@ class Transcribed(NamedTuple):
     # functions of the unknowns
 
     def off_start(self, knots: Knot) -> jax.Array:
-        """Return start (-) first knot (n,), with 0 for free coordinates."""
+        """Return the gap start (-) first knot (n,), which is 0 for free coordinates."""
         return self.problem.off_start(self.start, take(knots, 0))
 
     def measure(self, point: Point, l: Multipliers) -> Measured:
@@ -253,7 +253,10 @@ class Transcribed(NamedTuple):
         self, point: Point, l: Multipliers, by: Multipliers, a: jax.Array, back: jax.Array,
         mu: jax.Array,
     ) -> Multipliers:  # fmt: skip
-        """Return the multipliers at the new point, after fractions a and back of their step."""
+        """Return the multipliers at the new point.
+
+        a: step length of costates and equation multipliers. back: step length of bound multipliers.
+        """
         duals = tuple(
             barrier.moved_duals(x, z, dz, back, mu)
             for x, z, dz in zip(self.bounded(point), l.duals, by.duals, strict=True)

@@ -90,7 +90,7 @@ def differentiable(
 
 
 def _traced(x: Any) -> bool:
-    """Return whether x is traced and may need a derivative. Other values are constants."""
+    """Return whether x is traced. Only traced values may need a derivative."""
     return isinstance(x, jax.core.Tracer)
 
 
@@ -122,7 +122,7 @@ def _solution_tangent(
 ) -> SearchResult:
     """Return the tangent of a result, by the implicit function theorem."""
     kkt_system = KKTSystem(functions, whole, parameters)
-    point = PrimalDualPoint(out.knots, out.ctrls, out.path, out.end)
+    point = PrimalDualPoint(out.knots, out.ctrl, out.path, out.end)
     kkt = kkt_system.polished(point, out.status == CONVERGED)
     change = jax.jvp(lambda x: kkt_system.gradient(x, kkt), (parameters,), (directions,))[1]
     dz = solve_kkt(kkt, jax.tree.map(jnp.negative, change))
@@ -136,7 +136,7 @@ def _solution_tangent(
     # L is stationary in the unknowns, so its derivative by the parameters is that of the cost
     L = jax.jvp(lambda x: kkt_system.lagrangian(x, kkt), (parameters,), (directions,))[1]
     zero = jax.tree.map(_no_tangent, out)
-    return zero._replace(knots=knots, ctrls=du, cost=L, path=dz.path, end=dz.end)
+    return zero._replace(knots=knots, ctrl=du, cost=L, path=dz.path, end=dz.end)
 
 
 def _no_tangent(x: jax.Array) -> Any:

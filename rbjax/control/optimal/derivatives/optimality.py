@@ -31,6 +31,7 @@ from rbjax.control.optimal.derivatives.riccati_solve import (
 )
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, take
 from rbjax.control.products import product
+from rbjax.lanes.arrays import select
 
 BOUND_ROUNDING = 64.0  # tolerance of active bounds, in units in the last place
 REGULAR = 1e-6  # regularisation of Gauss-Newton Hessians, relative to the mean of the diagonal
@@ -68,10 +69,10 @@ class Functions(NamedTuple):
 
 
 class PrimalDualPoint(NamedTuple):
-    """The point of a derivative: knots, controls, multipliers of path and end constraints."""
+    """The point at which an optimum is differentiated: knots, controls and multipliers."""
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     path: jax.Array
     end: jax.Array
 
@@ -91,7 +92,7 @@ class KKTPoint(NamedTuple):
 
 
 def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
-    """Solve K z = r for z."""
+    """Solve the KKT system K z = r for the unknowns z."""
     e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # one array, as the transpose rule needs
 
@@ -122,9 +123,9 @@ class KKTSystem:
 
     def knots(self, point: PrimalDualPoint) -> tuple:
         """Return the arguments of `path` at all knots with controls, and the last knot."""
-        ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
+        ks = jnp.arange(self.problem.horizon, dtype=point.ctrl.dtype)
         body, following, last = (take(point.knots, at) for at in (BODY, NEXT, -1))
-        return (ks, body, point.ctrls, following), last
+        return (ks, body, point.ctrl, following), last
 
     # the equations
 
@@ -137,7 +138,7 @@ class KKTSystem:
             point, best = now
             kkt = self.at(point)
             better = wanted & (_size(kkt.gradient) < _size(best.gradient))
-            best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), kkt, best)
+            best = select((k == 0) | better, kkt, best)
             z = solve_kkt(best, jax.tree.map(jnp.negative, best.gradient))
             at = best.point
             knots = jax.vmap(self.problem.plus)(at.knots, z.x)
@@ -148,7 +149,7 @@ class KKTSystem:
 
     def at(self, point: PrimalDualPoint) -> KKTPoint:
         """Evaluate the KKT system at a point."""
-        n, m, dtype, system = self.n, self.m, point.ctrls.dtype, self.problem.system
+        n, m, dtype, system = self.n, self.m, point.ctrl.dtype, self.problem.system
         at, last = self.knots(point)
 
         def first(d: jax.Array, values: Callable[[jax.Array], KnotValues], nu: jax.Array) -> tuple:
@@ -176,7 +177,7 @@ class KKTSystem:
         l_0, (l, gu) = swept
         l = jnp.concatenate([l_0[None], l])
 
-        at_low, at_high = _active_bounds(point.ctrls, *self._bounds(self.parameters), gu)
+        at_low, at_high = _active_bounds(point.ctrl, *self._bounds(self.parameters), gu)
         parameters = point.knots.parameters[0]
         first_bounds = self._first_bounds(self.parameters)
         first_low, first_high = _active_bounds(parameters, *first_bounds, l_0[system.n :])
@@ -235,7 +236,7 @@ class KKTSystem:
     def controls(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
         """Return the controls, with entries at an active bound replaced by the bound."""
         low, high = self._bounds(parameters)
-        u = jnp.where(kkt.at_low, low, kkt.point.ctrls)
+        u = jnp.where(kkt.at_low, low, kkt.point.ctrl)
         return jnp.where(kkt.at_high, high, u)
 
     def first_row(self, parameters: tuple, kkt: KKTPoint) -> jax.Array:
@@ -255,7 +256,7 @@ class KKTSystem:
         return g._replace(u=e.free * g.u, path=e.path * g.path, end=e.end * g.end)
 
     def lagrangian(self, parameters: tuple, kkt: KKTPoint, z: Unknowns | None = None) -> jax.Array:
-        """Return L at the point (+) z, with the active rows only."""
+        """Return the Lagrangian at the point (+) z, with active constraint rows only."""
         point, z = kkt.point, jax.tree.map(jnp.zeros_like, kkt.gradient) if z is None else z
         (ks, body, _, following), last = self.knots(point)
 
@@ -276,7 +277,7 @@ def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
     """Return the system with exact Hessians if definite, else with Gauss-Newton Hessians."""
     fixed = jax.lax.stop_gradient
     found = factorise(fixed(exact))
-    e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)
+    e = select(found.ok, exact, gauss)
     return e, jax.lax.cond(found.ok, lambda: found, lambda: factorise(fixed(gauss)))
 
 

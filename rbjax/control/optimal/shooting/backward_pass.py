@@ -54,7 +54,10 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
 def box_gains(
     H: jax.Array, g: jax.Array, G: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return d of `box_qp`, K = -H^-1 G (m, n) with rows 0 at bounds, and ok."""
+    """Return the minimum d of `box_qp`, the gains K = -H^-1 G (m, n), and whether H is definite.
+
+    Rows of K at an active bound are 0.
+    """
     both, ok = gains(H, g, G)
     d = both[:, -1]
     inside = ((d >= low) & (d <= high)).all()
@@ -216,7 +219,7 @@ def backward_pass(
 
 
 def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the gradient, with 0 for entries whose descent violates bounds of the step."""
+    """Return the gradient, with 0 in entries whose descent violates a bound of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 
@@ -229,7 +232,7 @@ def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> t
 def propagate_value_by_velocities(
     V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any
 ) -> tuple:
-    """Compute `propagate_value` for dv+ = [C D] dx + E du, dq+ = dq + h dv+, at half the cost.
+    """Compute `propagate_value` at half the cost, if dv+ = [C D] dx + E du and dq+ = dq + h dv+.
 
     A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]
     """

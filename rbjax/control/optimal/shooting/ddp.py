@@ -56,13 +56,13 @@ def solve_ddp(
 class Rollout(NamedTuple):
     """The rollout of a trial step.
 
-    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    knots, ctrl: the motion, (N + 1, ...) and (N, m).
     costs, violations: its cost and largest constraint violation, ().
     more: sum of gap' V dx, ().
     """
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     costs: jax.Array
     violations: jax.Array
     more: jax.Array
@@ -107,28 +107,28 @@ def forward_pass(
 def _rollouts(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Rollout:
-    """Roll out steps of all lengths."""
-    lengths = jnp.asarray(LENGTHS, now.ctrls.dtype)
+    """Roll out trial steps of all step lengths."""
+    lengths = jnp.asarray(LENGTHS, now.ctrl.dtype)
     run = threads(functools.partial(forward_pass, problem))
     return jax.vmap(run, (None,) * 5 + (0,))(
-        now.knots, now.ctrls, gains, gaps, now.multipliers, lengths
+        now.knots, now.ctrl, gains, gaps, now.multipliers, lengths
     )
 
 
 def _take_rollout(
     problem: Problem, now: Iterate, trials: Rollout, decided: Decision
 ) -> tuple[Knot, jax.Array]:
-    """Return the motion of the accepted trial."""
+    """Return the knots and controls of the accepted trial."""
     return jax.tree.map(
         lambda new, old: jnp.where(decided.accepted, new[decided.best], old),
-        (trials.knots, trials.ctrls), (now.knots, now.ctrls),
+        (trials.knots, trials.ctrl), (now.knots, now.ctrl),
     )  # fmt: skip
 
 
 def _decreases_as_expected(
     values: IterationValues, lengths: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of trials with the predicted change of cost, and the expected decrease."""
+    """Return a mask of trials that decrease the cost as predicted, and that decrease."""
     cross = values.more
     slope, curvature = values.slope + cross, values.curvature - 2 * cross
     expected = lengths * (slope + 0.5 * lengths * curvature)

@@ -34,7 +34,10 @@ from rbjax.control.products import product
 
 
 class Quadratic(NamedTuple):
-    """A second-order expansion of a cost: c (), q (n,), Q (n, n), r (m,), R (m, m), S (n, m)."""
+    """A second-order expansion of a cost, with dx (n,) and du (m,).
+
+    c + q.dx + r.du + dx'Q dx/2 + du'R du/2 + dx'S du
+    """
 
     c: jax.Array
     q: jax.Array
@@ -120,8 +123,8 @@ def second_order(
     problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array,
     mu: jax.Array, costate: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """Return the parts of Q, R and S that Gauss-Newton omits. They are the sum of r_i r_i'' over
-    the residuals and of costate_i f_i'' over the step."""
+    """Return the parts of the Hessians Q, R and S of a knot that Gauss-Newton omits. They are the
+    sum of r_i r_i'' over the residuals and of costate_i f_i'' over the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)
     residuals = [
@@ -145,8 +148,8 @@ def second_order(
 
 
 def costates(path: Local, end: Quadratic) -> jax.Array:
-    """Return the derivatives (N, n) of the cost with respect to the state after each step. The
-    recursion is l_N = q_N, l_k = q_k + A_k' l_{k+1}."""
+    """Return the derivatives (N, n) of the cost with respect to the state after each step. With the
+    cost gradients q_k the recursion is l_N = q_N, l_k = q_k + A_k' l_{k+1}."""
 
     def back(l: jax.Array, knot: tuple) -> tuple[jax.Array, jax.Array]:
         A, q = knot
@@ -221,7 +224,7 @@ def expand(
 def columns(
     problem: Problem, k: jax.Array, knots: Knot, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return A, B and the gap of knot k, with one thread per column."""
+    """Return the step derivatives A and B and the gap of knot k, with one thread per column."""
     n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
 
     def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -241,7 +244,7 @@ def columns(
 
 
 def knot_indices(N: int, dtype: Any) -> jax.Array:
-    """Return the indices of the knots with controls, as a compile-time constant."""
+    """Return the indices 0 ... N - 1 of the knots with controls, as a compile-time constant."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 

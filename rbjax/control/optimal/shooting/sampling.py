@@ -39,6 +39,7 @@ from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
+from rbjax.lanes.arrays import select
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
@@ -123,7 +124,7 @@ class SampledStart:
         found = solve_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
         good = jnp.isfinite(found.cost)
         pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
-        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrls), (knots, ctrls))
+        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrl), (knots, ctrls))
         return solve_ddp(problem, start, knots, ctrls, options, history)
 
 
@@ -141,7 +142,7 @@ class Draw(NamedTuple):
 
 
 class Round(NamedTuple):
-    """The state of a sampling method between two rounds."""
+    """The state of a sampling method between two rounds: distribution, best sample, its cost."""
 
     mean: Draw
     deviation: Draw
@@ -273,8 +274,7 @@ def _update_distribution(
 
         deviation = jax.tree.map(spread, good, mean, now.deviation)
     some = jnp.isfinite(least[0])  # otherwise draw again from the same distribution
-    pick = lambda new, old: jnp.where(some, new, old)  # noqa: E731
-    return jax.tree.map(pick, (mean, deviation), (now.mean, now.deviation))
+    return select(some, (mean, deviation), (now.mean, now.deviation))
 
 
 def _weighted(w: jax.Array, x: jax.Array) -> jax.Array:

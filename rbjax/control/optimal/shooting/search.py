@@ -4,9 +4,10 @@ An iteration expands the problem at its knots, computes gains, evaluates trial s
 `StepPolicy`, and applies the longest trial that the policy accepts. The regularisation falls
 tenfold after a step longer than 0.5. It rises tenfold after a step of at most 0.01, after a
 rejected step, or if the gains do not exist (Mastalli et al. 2020). The search is stuck if the
-largest regularisation gives no step, or if many steps lower the cost only by rounding. If the
-expected decrease of the cost is small, the multipliers of the constraints are updated, or the
-search has converged. With regularisation, the gradient must be small too.
+largest regularisation gives no step, or if many steps lower the cost only by rounding; with
+constraints it first gets new multipliers (`renews`). If the expected decrease of the cost is
+small, the multipliers of the constraints are updated, or the search has converged. With
+regularisation, the gradient must be small too.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import numpy as np
 
 from rbjax.compiler import threads
 from rbjax.control.optimal.objective import (
+    HARDER,
+    PENALTY,
     PENALTY_MOST,
     Multipliers,
     motion_cost,
@@ -40,6 +43,7 @@ from rbjax.control.optimal.shooting.expansion import (
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+from rbjax.lanes.arrays import select
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # of the regularisation; LEAST means none
 LENGTHS = 0.5 ** np.arange(10)  # lengths of the trial steps
@@ -47,11 +51,12 @@ LONG, SHORT = 0.5, 0.01  # step lengths that lower and raise the regularisation
 SHORT_CONSTRAINED = 0.3  # with constraints, which add curvature that the model omits
 LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each
 FLOOR = 10.0  # smallest tolerance, in units in the last place
+SOFTEST_AT_REST, HARDEST_AT_REST = 1e3, 1e6  # range of the penalty, see `renews`
 MAX_STALLED = 50  # maximum number of consecutive iterations that lower the cost only by rounding
 
 
 class SearchState(NamedTuple):
-    """The state of a search between two iterations. Each field is ()."""
+    """The state of a search between two iterations: costs, tolerances, counters, each ()."""
 
     feasible: jax.Array  # true if the motion has no gaps
     reg: jax.Array  # the regularisation
@@ -69,7 +74,7 @@ class SearchState(NamedTuple):
 
 
 class IterationValues(NamedTuple):
-    """The values of an iteration that determine its decision."""
+    """Cost, gap, violation and slopes of an iteration, and the costs of its trial steps."""
 
     cost: jax.Array  # (), of the present motion
     gap: jax.Array  # ()
@@ -84,7 +89,7 @@ class IterationValues(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The decision of an iteration. Each field is ()."""
+    """The outcome of an iteration: the accepted trial step and the next state of the search."""
 
     search: SearchState  # the state after the iteration
     best: jax.Array  # the index of a trial
@@ -150,7 +155,8 @@ def decide(
     reference, stalled = count_stalled(
         now.reference_cost, now.stalled, cost, values.gap <= gap_tolerance(dtype)
     )
-    status = jnp.where(stuck | (stalled >= MAX_STALLED), STUCK, status)
+    rests = stuck | (stalled >= MAX_STALLED)
+    status = jnp.where(rests, STUCK, status)
     finite = jnp.isfinite(values.cost) & jnp.isfinite(values.gap)
     status = jnp.where(finite, status, NOT_FINITE)
     if not constrained:
@@ -167,6 +173,11 @@ def decide(
     change = stationary & ~done
     penalty, failing = next_penalty(now.penalty, off, now.violation_before, satisfied)
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)
+    renewed = rests & here & renews(now, off, satisfied)
+    softer = jnp.maximum(now.penalty / HARDER, PENALTY)
+    penalty = jnp.where(renewed & satisfied, softer, penalty)
+    status = jnp.where(renewed & (status == STUCK), GOING, status)
+    change = change | renewed
     status = jnp.where(hopeless, INFEASIBLE, status)
     inner = jnp.maximum(CLOSER * now.inner_tolerance, least)
     change = change & (status == GOING)  # a search that ends keeps its multipliers
@@ -175,15 +186,30 @@ def decide(
         jnp.where(change, off, now.violation_before),
         jnp.where(change, inner, now.inner_tolerance), iterations,
         jnp.where(done, CONVERGED, status), jnp.where(change, penalty, now.penalty),
-        jnp.where(change, jnp.inf, reference).astype(dtype), stalled,
+        jnp.where(change, jnp.inf, reference).astype(dtype), jnp.where(change, 0, stalled),
     )  # fmt: skip
     return Decision(after, best, length, accepted, change)
+
+
+def renews(now: SearchState, violation: jax.Array, satisfied: jax.Array) -> jax.Array:
+    """Return whether a search at rest gets new multipliers, before it ends as stuck.
+
+    At rest the merit function falls no further than its rounding. New multipliers reduce the
+    violation. If the constraints are satisfied, a smaller penalty has the same optimum, and its
+    rounding hides less of the gradient.
+    """
+    falls = (violation < now.violation_before) | (now.penalty < HARDEST_AT_REST)
+    return jnp.where(satisfied, now.penalty > SOFTEST_AT_REST, falls)
 
 
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Return whether the expected decrease is small and, with regularisation, the gradient too."""
+    """Return whether the search has converged, by the expected decrease and the gradient.
+
+    The gradient must be small only if the control Hessians are regularised.
+    share: factor of the tolerance, the scale of the cost.
+    """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
 
@@ -207,7 +233,7 @@ def gap_tolerance(dtype: Any) -> float:
 class Iterate(NamedTuple):
     """The iterate of a search.
 
-    knots, ctrls: the motion, (N + 1, ...) and (N, m).
+    knots, ctrl: the motion, (N + 1, ...) and (N, m).
     multipliers: of the constraints.
     K: gains, (N, m, n).
     search: the state of the search.
@@ -215,7 +241,7 @@ class Iterate(NamedTuple):
     """
 
     knots: Knot
-    ctrls: jax.Array
+    ctrl: jax.Array
     multipliers: Multipliers
     K: jax.Array
     search: SearchState
@@ -246,11 +272,11 @@ def search(
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # L then has the augmented gradient
-        path, end = updated_multipliers(problem, last.knots, last.ctrls, last.multipliers)
-    at, cost = last.search, motion_cost(problem, last.knots, last.ctrls)
+        path, end = updated_multipliers(problem, last.knots, last.ctrl, last.multipliers)
+    at, cost = last.search, motion_cost(problem, last.knots, last.ctrl)
     return SearchResult(
-        last.knots, last.ctrls, cost, at.status, at.iterations, at.expected_decrease,
-        largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.knots, last.ctrl, cost, at.status, at.iterations, at.expected_decrease,
+        largest_gap(problem, start, last.knots, last.ctrl), at.violation, last.costs,
         last.K, path, end, penalty=last.multipliers.penalty,
     )  # fmt: skip
 
@@ -293,17 +319,15 @@ def iterate(
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short, so k obeys all bounds
         boxed = exact and policy.closes_gaps
-        plain = functools.partial(compute_gains, problem, now.knots, now.ctrls, boxed=boxed)
+        plain = functools.partial(compute_gains, problem, now.knots, now.ctrl, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
-        full = plain(
-            add_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
-        )
+        full = plain(add_curvature(problem, now.knots, now.ctrl, now.multipliers, found), gaps, reg)
         return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
 
     def turn(now: Iterate) -> Iterate:
         at = now.search
-        found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        found = expand(problem, start, now.knots, now.ctrl, now.multipliers)
         gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
         gains = gains_at(now, found, gaps)
         trials = policy.trials(problem, now, found, gaps, gains)
@@ -318,9 +342,7 @@ def iterate(
         after, multipliers = decided.search, now.multipliers
         if constrained:
             new = updated_multipliers(problem, knots, ctrls, multipliers)
-            path, end = jax.tree.map(
-                lambda x, old: jnp.where(decided.new_multipliers, x, old), new, multipliers[:2]
-            )
+            path, end = select(decided.new_multipliers, new, multipliers[:2])
             multipliers = Multipliers(path, end, after.penalty)
         if options.report is not None:
             jax.debug.callback(options.report, after.iterations, after.cost, after.violation)

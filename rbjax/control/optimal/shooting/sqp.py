@@ -91,8 +91,8 @@ def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
 def _trials(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
-    """Evaluate the trials of all lengths at all knots."""
-    dtype, N = now.ctrls.dtype, problem.horizon
+    """Evaluate trial steps of all step lengths at all knots."""
+    dtype, N = now.ctrl.dtype, problem.horizon
     step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
 
@@ -141,7 +141,7 @@ def _trials(
     body, following = take(now.knots, BODY), take(now.knots, NEXT)
     path, l = found.path.cost, now.multipliers
     sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
-        knot_indices(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
+        knot_indices(N, dtype), body, now.ctrl, l.path, step.dx[:-1], step.du,
         following, step.dx[1:], gaps[1:], gains.V[1:], gains.v[1:],
         (path.c, path.q, path.r), l.end, (found.end.c, found.end.q), l.penalty, lengths,
     )  # fmt: skip
@@ -160,12 +160,12 @@ def _take_linear_step(
 
     a, accepted = decided.length, decided.accepted
     knots = jax.vmap(threads(one), (0, 0, None, None))(now.knots, trials.step.dx, a, accepted)
-    ctrls = now.ctrls + jnp.where(accepted, a * trials.step.du, 0.0)
+    ctrls = now.ctrl + jnp.where(accepted, a * trials.step.du, 0.0)
     return knots, problem.within_bounds(ctrls)
 
 
 def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of the acceptable trials of least phi, and the expected decrease."""
+    """Return a mask of acceptable trials of least merit phi, and the expected decrease."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square

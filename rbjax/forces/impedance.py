@@ -1,0 +1,149 @@
+"""Impedance, reference acceleration and regularisation of MuJoCo's soft rows.
+
+A row is a joint limit, the friction loss of a dof, a contact or a soft equality. With the residual
+r, its rate J v and the inverse inertia w of the row,
+
+    d(r) = d_0 + (d_w - d_0) y(|r| / width),   y(x) = x^p / m^(p-1)                if x <= m
+                                               y(x) = 1 - (1-x)^p / (1-m)^(p-1)    if m < x < 1
+                                               y(x) = 1                            if x >= 1
+    a_ref = -b J v - k d r,     R = (1 - d) / d w
+
+d is the mean of d_0 and d_w if the width is zero. solref = (time constant T, damping ratio z) gives
+k = 1 / (d_w T z)^2 and b = 2 / (d_w T). solref = (-stiffness, -damping), neither above zero, gives
+k = stiffness / d_w^2 and b = damping / d_w. Other signs stand for the default of MuJoCo.
+
+The functions act entry by entry on lanes. Parameters that are constants while tracing are folded.
+
+Source: MuJoCo, *Computation*, constraint model, parameters; Todorov 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes import Lane, add, is_literal, mul
+from rbjax.model.solver_parameters import SOLREF
+
+#: MuJoCo's limits of d_0, d_w and of the midpoint m
+IMPEDANCES = 1e-4, 0.9999
+#: MuJoCo's smallest width, denominator and regularisation
+LEAST = 1e-15
+
+
+def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:
+    """Compute the impedance d of a row at a residual.
+
+    Derivatives are finite everywhere. The derivative by r is zero at r = 0.
+
+    Args:
+        r: the residual of the row, m or rad. Only its absolute value matters.
+        solimp: the five lanes d_0, d_w, width, midpoint m, power p, or an array (5, ...).
+    """
+    r, *solimp = _constants(r, *solimp)
+    low, high, width, middle, power = solimp
+    low, high, middle = (_clip(x, *IMPEDANCES) for x in (low, high, middle))
+    flat = width <= LEAST
+    x = abs(r) / _where(flat, 1.0, width)
+    rising = x <= middle
+    rest = _where(rising, x / middle, _clip(1 - x, 0.0, 1.0) / (1 - middle))
+    part = _power(rest, _larger(power, 1.0))
+    y = _where(rising, middle * part, 1 - (1 - middle) * part)
+    d = _where(x >= 1, high, add(low, mul(y, high - low)))
+    return _where(flat, 0.5 * (low + high), d)
+
+
+def reference(
+    r: Lane, velocity: Lane, d: Lane, solref: Sequence[Lane], solimp: Sequence[Lane], dt: Lane,
+    *, refsafe: bool,
+) -> Lane:  # fmt: skip
+    """Compute the reference acceleration of a row, -b J v - k d r.
+
+    Friction loss and the tangents of an elliptic cone have k = 0, which r = 0.0 gives.
+
+    Args:
+        r: the residual of the row.
+        velocity: J v, the rate of the residual.
+        d: the impedance. The impedance of a connect or weld is at the norm of all its residuals.
+        solref: two lanes, or an array (2, ...).
+        solimp: as in `impedance`.
+        dt: the time step, s.
+        refsafe: static, whether the time constant is at least 2 dt.
+    """
+    r, velocity, d, *solref, high, dt = _constants(r, velocity, d, *solref, solimp[1], dt)
+    k, b = _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), dt if refsafe else None)
+    return add(mul(-b, velocity), mul(mul(-k, d), r))
+
+
+def regularisation(d: Lane, weight: Lane) -> Lane:
+    """Compute the regularisation R = max(1e-15, (1 - d) / d w) of a row of inverse inertia w."""
+    d, weight = _constants(d, weight)
+    return _larger((1 - d) / d * weight, LEAST)
+
+
+def stiffness_and_damping(solref: Sequence[Lane], solimp: Sequence[Lane]) -> tuple[Lane, Lane]:
+    """Compute the stiffness k, 1/s^2, and the damping b, 1/s, of a row."""
+    *solref, high = _constants(*solref, solimp[1])
+    return _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), None)
+
+
+def _stiffness_and_damping(
+    solref: Sequence[Lane], high: Lane, dt: Lane | None
+) -> tuple[Lane, Lane]:
+    """Compute k and b. `high` is d_w within its limits. The time constant is 2 dt or more."""
+    first, second = solref
+    standard = first > 0
+    mixed = standard != (second > 0)
+    time, ratio = (_where(mixed, given, x) for given, x in zip(SOLREF, solref, strict=True))
+    standard = standard | mixed
+    time = _where(standard, time if dt is None else _larger(time, 2 * dt), 1.0)
+    ratio = _where(standard, ratio, 1.0)
+    stiffness = _where(standard, 1 / _larger((high * time * ratio) ** 2, LEAST), -first / high**2)
+    return stiffness, _where(standard, 2 / _larger(high * time, LEAST), -second / high)
+
+
+def _constants(*lanes: Lane) -> list[Lane]:
+    """Return constants of shape () as Python floats, and arrays in the first tracer's dtype."""
+    dtype = next((x.dtype for x in lanes if isinstance(x, jax.core.Tracer)), np.float64)
+    return [_constant(x, dtype) for x in lanes]
+
+
+def _constant(x: Lane, dtype: Any) -> Lane:
+    """Return a lane in a form that mixes with tracers of the dtype."""
+    if isinstance(x, jax.core.Tracer):
+        return x.astype(dtype)
+    return float(x) if np.ndim(x) == 0 else np.asarray(x, dtype)
+
+
+def _module(*lanes: Any) -> Any:
+    """Return jax.numpy if a lane is traced or a JAX array, else numpy."""
+    return jnp if any(isinstance(x, jax.Array) for x in lanes) else np
+
+
+def _where(condition: Any, x: Lane, y: Lane) -> Lane:
+    """Return x if the condition holds, else y. A condition on literals selects while tracing."""
+    if isinstance(condition, (bool, np.bool_)):
+        return x if condition else y
+    return _module(condition, x, y).where(condition, x, y)
+
+
+def _larger(x: Lane, least: Lane) -> Lane:
+    """Compute max(x, least)."""
+    literal = is_literal(x) and is_literal(least)
+    return max(x, least) if literal else _module(x, least).maximum(x, least)
+
+
+def _clip(x: Lane, low: float, high: float) -> Lane:
+    """Limit a lane to an interval."""
+    return min(max(x, low), high) if is_literal(x) else _module(x).clip(x, low, high)
+
+
+def _power(x: Lane, power: Lane) -> Lane:
+    """Compute x^power. A literal integer is a product, which has derivatives of any order."""
+    if is_literal(power) and power == int(power):
+        return x ** int(power)
+    return x**power

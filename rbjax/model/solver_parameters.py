@@ -1,0 +1,87 @@
+"""Parameters of MuJoCo's constraint problem that belong to joints, dofs and the file."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.model.record import Record
+
+
+class SolverParameters(Record):
+    """Parameters of joint limits, friction loss and contacts, as in MuJoCo.
+
+    The parameters of geoms are in `model.geoms`, and the limits themselves in `joints.range`. A
+    changed value compiles nothing anew. Set `rubbing` to give friction loss to further dofs.
+
+    Fields:
+        impratio: (), ratio of the frictional to the normal impedance of a contact.
+        limit_solref: (nj, 2) reference of the limits of each joint.
+        limit_solimp: (nj, 5) impedance of the limits.
+        limit_margin: (nj,) rad or m, distance from a limit at which it becomes active.
+        frictionloss: (nv,) N m or N, the Coulomb friction of each dof.
+        friction_solref: (nv, 2) reference of the friction loss.
+        friction_solimp: (nv, 5) impedance of the friction loss.
+        cone: "pyramidal" or "elliptic"; static.
+        refsafe: whether time constants are at least two time steps; static.
+        limited: the joints with limits, by index; static.
+        rubbing: the dofs with friction loss, by index; static.
+        translating: the bodies that carry no other body and only slide along their own axes, by
+            index; their weights are 1 / mass, as in MuJoCo; static.
+
+    Source: MuJoCo, *Computation*, constraint model.
+    """
+
+    impratio: jax.Array
+    limit_solref: jax.Array
+    limit_solimp: jax.Array
+    limit_margin: jax.Array
+    frictionloss: jax.Array
+    friction_solref: jax.Array
+    friction_solimp: jax.Array
+    cone: str = eqx.field(static=True, default="pyramidal")
+    refsafe: bool = eqx.field(static=True, default=True)
+    limited: tuple[int, ...] = eqx.field(static=True, default=())
+    rubbing: tuple[int, ...] = eqx.field(static=True, default=())
+    translating: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def with_joint(
+        self, joint: int, body: int, dofs: slice, count: int, *, limits: bool
+    ) -> SolverParameters:
+        """Return the parameters after a joint with other dofs is put in place of an old one.
+
+        Args:
+            joint, body: the indices of the joint and of its body.
+            dofs: the dofs of the old joint.
+            count: the number of dofs of the new joint. Equal numbers keep the friction loss.
+            limits: whether the new joint keeps the limits of the old one.
+        """
+        limited = tuple(j for j in self.limited if limits or j != joint)
+        translating = tuple(b for b in self.translating if b != body)
+        old = dofs.stop - dofs.start
+        if count == old:
+            return self.replace(limited=limited, translating=translating)
+        given = {"frictionloss": 0.0, "friction_solref": SOLREF, "friction_solimp": SOLIMP}
+        changes: dict[str, Any] = {
+            name: _spliced(getattr(self, name), dofs, count, row) for name, row in given.items()
+        }
+        kept = [i for i in self.rubbing if not dofs.start <= i < dofs.stop]
+        rubbing = tuple(i if i < dofs.start else i + count - old for i in kept)
+        changes |= {"limited": limited, "rubbing": rubbing, "translating": translating}
+        return dataclasses.replace(self, **changes)
+
+
+#: MuJoCo's default reference and impedance
+SOLREF = (0.02, 1.0)
+SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+
+def _spliced(x: jax.Array, at: slice, count: int, row: Any) -> jax.Array:
+    """Replace rows of x by `count` rows with the given value."""
+    new = jnp.broadcast_to(jnp.asarray(row, x.dtype), (count, *np.shape(row)))
+    return jnp.concatenate([x[: at.start], new, x[at.stop :]])
