@@ -31,8 +31,8 @@ from rbjax.model import Model, State
 from rbjax.motion.contact_modes import ContactSystem, Mode, initial_mode, transition
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
-from rbjax.motion.simulate import _times
 from rbjax.motion.term import unit_quaternions
+from rbjax.motion.trajectory import check_times
 from rbjax.solvers.events import carry_back, integrate_until
 
 #: results of a motion with impacts
@@ -151,8 +151,9 @@ def simulate_impacts(
     where = "simulate_impacts"
     state = check_arrays(where, model, {"state": state})["state"]
     check_moves(where, model)
+    model = model.replace(contact=None)  # rigid contacts replace the law of the model
     dtype = state.q.dtype
-    ts, elapsed = _times(ts, dtype)
+    ts, elapsed = check_times(where, ts, dtype)
     inputs = inputs_between(where, model, Inputs(ctrl, tau, wrenches), ts)
     dynamics = dynamics_of(where, model, dynamics, constraints)
     chosen = check_pairs(where, model, pairs)
