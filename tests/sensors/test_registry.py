@@ -67,12 +67,14 @@ def test_a_registered_sensor_is_fitted():
 
 @pytest.mark.parametrize("name", [*sensors.kinds()])
 def test_names_are_as_many_as_values(name):
-    model, kind = robot("small").model, sensors.kinds()[name]
+    imu = sensors.NamedSensor("imu", sensors.Gyro("tip"))
+    model, kind = robot("small").model.replace(sensors=(imu,)), sensors.kinds()[name]
     places = {
         "frame": "tip",
         "joint": "ball" if name.startswith("ball") else "hinge",
         "actuator": "servo",
         "body": "hand",
+        "name": "imu",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
     sensor = sensors.sensor_of(name + place)

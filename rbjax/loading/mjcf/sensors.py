@@ -231,3 +231,6 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "e_kinetic": (sensors.KineticEnergy, _nothing),
     "clock": (sensors.Clock, _nothing),
 }
+
+#: class of a sensor -> kind of MuJoCo
+CLASSES: dict[Any, str] = {make: kind for kind, (make, _) in _READERS.items()}

@@ -24,6 +24,7 @@ from rbjax.loading.mjcf.constraints import write_constraints
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
+from rbjax.loading.write.sensors import sensors_differ, write_sensors
 from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
@@ -38,8 +39,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """Write a model as the text of an MJCF file from which `load` reads the same model.
 
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
-    armature and ranges, actuators with their states, sites, keyframes, gravity, timestep, and the
-    force elements and constraints that MJCF has.
+    armature and ranges, actuators with their states, sites, keyframes, sensors, gravity, timestep,
+    and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -90,10 +91,13 @@ def make_draft(model: Model) -> Draft:
     _write_sites(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
+    seen = write_sensors(draft)
     _write_keyframes(draft)
     again = jax.tree.map(np.asarray, from_compiled(compile_mjcf(serialize(draft))))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
+    if changed := sensors_differ(draft, again, seen):
+        draft.note("sensors that are read back as others", changed)
     return draft
 
 
