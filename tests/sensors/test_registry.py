@@ -13,6 +13,7 @@ from rbjax.sensors.fixed import FrameSensor
 from rbjax.sensors.protocol import _KINDS
 from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
 from tests.robots import robot
+from tests.sensors.equipped import loaded, rich
 
 
 @pytest.fixture
@@ -68,13 +69,15 @@ def test_a_registered_sensor_is_fitted():
 @pytest.mark.parametrize("name", [*sensors.kinds()])
 def test_names_are_as_many_as_values(name):
     imu = sensors.NamedSensor("imu", sensors.Gyro("tip"))
-    model, kind = robot("small").model.replace(sensors=(imu,)), sensors.kinds()[name]
+    own = loaded(rich("CLOCK")) if name.startswith("tendon") else robot("small").model
+    model, kind = own.replace(sensors=(imu,)), sensors.kinds()[name]
     places = {
         "frame": "tip",
         "joint": "ball" if name.startswith("ball") else "hinge",
         "actuator": "servo",
         "body": "hand",
         "name": "imu",
+        "tendon": "cord",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
     sensor = sensors.sensor_of(name + place)

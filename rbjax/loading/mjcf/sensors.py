@@ -14,13 +14,10 @@ import mujoco
 import numpy as np
 
 from rbjax import sensors
-from rbjax.loading.mjcf.actuators import tendon_transmission
 from rbjax.loading.mjcf.fields import (
     inertial_frame,
     is_off,
-    leaf,
     reason_left_out,
-    tendon_wraps,
 )
 from rbjax.model import Frame
 from rbjax.sensors import NamedSensor, Volume
@@ -165,22 +162,15 @@ def _actuator(m: mujoco.MjModel, i: int) -> tuple[int]:
 
 
 def _tendon(m: mujoco.MjModel, i: int) -> tuple:
-    tendon = int(m.sensor_objid[i])
-    if tendon_wraps(m, tendon):
-        raise NotRead("sensors of tendons that wrap around geoms")
-    return (tendon_transmission(m, tendon, leaf(np.eye(6)[0])),)
+    return (_name(m, _OBJECT.TENDON, int(m.sensor_objid[i])),)
 
 
-def _tendon_limit(m: mujoco.MjModel, i: int) -> tuple:
-    tendon = int(m.sensor_objid[i])
-    limits = tuple(m.tendon_range[tendon].tolist())
-    return (*_tendon(m, i), limits, float(m.tendon_margin[tendon]))
-
-
-def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple[tuple[int, ...]]:
+def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple:
     at_tendon = m.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    which = np.flatnonzero(at_tendon & (m.actuator_trnid[:, 0] == m.sensor_objid[i]))
-    return (tuple(_control(m, int(k)) for k in which if not is_off(m, int(k))),)
+    for k in np.flatnonzero(at_tendon & (m.actuator_trnid[:, 0] == m.sensor_objid[i])).tolist():
+        if reason_left_out(m, k):
+            raise NotRead(f"sensors of actuators: {reason_left_out(m, k)}")
+    return _tendon(m, i)
 
 
 def _nothing(m: mujoco.MjModel, i: int) -> tuple[()]:
@@ -212,8 +202,8 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "jointlimitpos": (sensors.JointLimitPosition, _joint_limit),
     "jointlimitvel": (sensors.JointLimitVelocity, _joint_limit),
     "jointlimitfrc": (sensors.JointLimitForce, _joint_limit),
-    "tendonlimitpos": (sensors.TendonLimitPosition, _tendon_limit),
-    "tendonlimitvel": (sensors.TendonLimitVelocity, _tendon_limit),
+    "tendonlimitpos": (sensors.TendonLimitPosition, _tendon),
+    "tendonlimitvel": (sensors.TendonLimitVelocity, _tendon),
     "framepos": (sensors.Position, _relative),
     "framequat": (sensors.Attitude, _relative),
     "framexaxis": (sensors.FrameXAxis, _relative),

@@ -131,8 +131,8 @@ def _subtree(draft: Draft, sensor: Any) -> dict[str, str]:
     return {"body": _body(draft, sensor.body)}
 
 
-def _none(draft: Draft, sensor: Any) -> None:
-    return None
+def _tendon(draft: Draft, sensor: Any) -> dict[str, str]:
+    return {"tendon": draft.tendons[draft.model.tendon(sensor.tendon)]}
 
 
 Writer = Callable[[Draft, Any], dict[str, str] | None]
@@ -147,7 +147,7 @@ _WRITERS: list[tuple[Any, Writer]] = [
     (OneJointSensor, _joint),
     (ActuatorSensor, _actuator),
     (SubtreeSensor, _subtree),
-    ((TendonSensor, sensors.TendonActuatorForce), _none),
+    (TendonSensor, _tendon),
 ]
 
 
@@ -171,8 +171,12 @@ def _facts(model: Any, sensor: Any) -> list:
         if given is not None:
             body, placed = frame_transform(model, named_frame(model, given), np.float64)
             out.append((body, *(round(float(x), 9) + 0.0 for x in (*placed.R, *placed.p))))
-    for name in ("field", "data", "volume", "margin"):
+    for name in ("field", "data", "volume"):
         out.append(getattr(sensor, name, None))
+    if isinstance(sensor, JointLimitSensor):
+        out.append(sensor.margin)
+    if isinstance(sensor, TendonSensor):
+        out.append(model.tendon(sensor.tendon))
     if hasattr(sensor, "joint"):
         out.append(model.joint(sensor.joint))
     if hasattr(sensor, "actuator"):
