@@ -13,7 +13,6 @@ from rbjax.sensors.fixed import FrameSensor
 from rbjax.sensors.protocol import _KINDS
 from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
 from tests.robots import robot
-from tests.sensors.equipped import loaded, rich
 
 
 @pytest.fixture
@@ -66,10 +65,15 @@ def test_a_registered_sensor_is_fitted():
         del _KINDS["cosine"]
 
 
+BELT = """<mujoco><worldbody><body><joint name="j"/><geom size="0.1" contype="0" conaffinity="0"/>
+</body></worldbody><tendon><fixed name="belt"><joint joint="j" coef="2"/></fixed></tendon>
+</mujoco>"""
+
+
 @pytest.mark.parametrize("name", [*sensors.kinds()])
 def test_names_are_as_many_as_values(name):
     imu = sensors.NamedSensor("imu", sensors.Gyro("tip"))
-    own = loaded(rich("CLOCK")) if name.startswith("tendon") else robot("small").model
+    own = rb.load(BELT) if name.startswith("tendon") else robot("small").model
     model, kind = own.replace(sensors=(imu,)), sensors.kinds()[name]
     places = {
         "frame": "tip",
@@ -77,7 +81,7 @@ def test_names_are_as_many_as_values(name):
         "actuator": "servo",
         "body": "hand",
         "name": "imu",
-        "tendon": "cord",
+        "tendon": "belt",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
     sensor = sensors.sensor_of(name + place)
