@@ -98,7 +98,7 @@ def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
             own = element.rate(seen) if dt is None else element.advance(seen, dt)
             if len(own) != element.size:
                 name = f"{type(element).__name__}.{'rate' if dt is None else 'advance'}"
-                raise InputError(f"{name} returned {len(own)} numbers, expected {element.size}")
+                raise InputError(f"{name} returned {len(own)} values, expected {element.size}")
             found += list(own)
     return pack(found, context.x)
 

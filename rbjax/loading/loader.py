@@ -48,7 +48,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
 _SHOWN = 8  # names listed before "and N more"
-_ACTIVE = "numbers that no passive joint has, used as the file gives them"
+_ACTIVE = "parameters that no passive joint can have, used as in the file"
 
 
 def load(

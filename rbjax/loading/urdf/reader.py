@@ -138,8 +138,8 @@ def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
     if not mass:
         raise ModelError(
             f"{name}: floating_base=True, but the root link 'world' and the links that are "
-            f"fixed to it have no mass, and nothing floats without: the link named 'world' is "
-            f"the ground; load without floating_base, or give it an <inertial>"
+            f"fixed to it have no mass, which a floating base needs: the link named 'world' "
+            f"is the ground; load without floating_base, or give it an <inertial>"
         )
     own = inertials.pop(GROUND)
     tree.rename_ground()

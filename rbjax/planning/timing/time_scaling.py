@@ -95,8 +95,8 @@ def check_path(where: str, path: Any) -> None:
         raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
     if path.start.ndim != 1 or not path.steps.shape[0]:
         raise InputError(
-            f"{where}: got steps of shape {path.steps.shape}, expected those of one path, (n, 3) "
-            "with n of at least 1; use jax.vmap for many"
+            f"{where}: path.steps has shape {path.steps.shape}, expected (n, 3) with n of at "
+            "least 1, one path; use jax.vmap for several"
         )
 
 

@@ -142,7 +142,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
         real_number("wheeled.write_mjcf", name, x, above=0.0)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
-            "wheeled.write_mjcf: got a traced robot, expected known numbers; call it outside of "
+            "wheeled.write_mjcf: got a traced robot, expected concrete values; call it outside of "
             "jit, vmap and grad"
         )
     rolling = [i for i, x in enumerate(robot.wheels) if x.kind == "rollers"]
