@@ -229,7 +229,7 @@ def _write_drives(draft: Draft, n: Parameters) -> None:
 
 
 def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
-    """Write the fixed tendon of a differential, whose length is sum split_i phi_i."""
+    """Write the fixed tendon of a differential: its length is sum split_i phi_i of axle angles."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
         ET.SubElement(cage, "joint", joint=axle, coef=text(share))
