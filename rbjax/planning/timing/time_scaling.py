@@ -114,7 +114,10 @@ def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     flat = jnp.sqrt(jnp.finfo(dtype).eps)
 
     def rows(k, low, high):
-        """Return the half-planes a u + b x <= c of step k, whose final x is in [low, high]."""
+        """Return the half-planes a u + b x <= c of step k, for a final x in [low, high].
+
+        x is the squared path speed at the start of the step, and u the path acceleration.
+        """
         step, (A0, B0, C0), (A1, B1, C1) = k
         A, B = jnp.stack([A0, A1 + 2 * step * B1]) / most, jnp.stack([B0, B1]) / most
         C, one = jnp.stack([C0, C1]) / most, jnp.ones(1, dtype)

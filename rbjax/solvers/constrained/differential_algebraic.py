@@ -84,7 +84,7 @@ class Equations:
 
 
 class Point(NamedTuple):
-    """Start of a step: the point of the matrix, and the initial guess."""
+    """Start of a step, where the Jacobian is evaluated; also the initial guess of its stages."""
 
     t: Any
     y: jax.Array
