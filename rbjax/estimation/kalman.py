@@ -89,7 +89,7 @@ def kalman_filter(
             finite value. If None, readings is an array (N + 1, m), and its nan entries are missing.
 
     Returns:
-        `KalmanFiltered`. It is nan if S is not positive definite.
+        `KalmanFiltered`, nan if an innovation covariance is not positive definite.
 
     Raises:
         InputError: covariances that are neither matrices nor variances; numbers of samples that do

@@ -70,8 +70,7 @@ class DifferentialAlgebraic(Method):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """The method whose linearised equations damp the error estimate (`damp_error`): this
-        method."""
+        """The formulation whose linearised equations filter the error estimate; itself by default."""
         return self
 
     def algebraic(
