@@ -69,7 +69,7 @@ def _given(element: Element, seen: Context) -> Loads:
     if not isinstance(found, Loads):
         raise InputError(
             f"{type(element).__name__}.loads returned {type(found).__name__}, expected Loads: "
-            "what Frame.push and Joint.push return, and sums of these"
+            "what Frame.push and JointState.push return, and sums of these"
         )
     return found
 

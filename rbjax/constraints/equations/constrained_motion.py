@@ -206,8 +206,11 @@ def factor_delassus(
     d: Driver, factors: Any, context: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
     """Factor the Delassus matrix G M^-1 G^T, on lanes or, for many rows or a rolled tree, as an
-    array. `damping` replaces eps and e of the regularization and sets one refinement; None uses the
-    values of the dtype."""
+    array.
+
+    damping: replaces the regularization parameters and sets one refinement; None uses the values
+        of the dtype.
+    """
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, context, rows, damping)
 

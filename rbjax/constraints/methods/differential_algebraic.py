@@ -70,7 +70,7 @@ class DifferentialAlgebraic(Method):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """The formulation whose linearised equations filter the error estimate; itself by default."""
+        """The formulation whose linearised equations filter the error estimate; this one."""
         return self
 
     def algebraic(

@@ -239,7 +239,7 @@ class SimulationError:
         return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def rows_of(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Split residuals (runs, rows, ...) into arrays (runs, samples, columns, ...), by sensor."""
+        """Split residuals (runs, rows, ...) by sensor into (runs, samples, columns, ...)."""
         found, at = {}, 0
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]
