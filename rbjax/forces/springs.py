@@ -32,7 +32,7 @@ from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.joints.polynomials import polynomial
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.lanes import Lane, Mat3, Vec3, add, inner, is_literal, is_zero, mul, sub
 from rbjax.model import Model
 from rbjax.model.leaves import numbers
@@ -68,8 +68,8 @@ class PointSpring(Element):
         True
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     stiffness: jax.Array
     damping: jax.Array
     slack: jax.Array
@@ -174,8 +174,8 @@ class Bushing(Element):
         [-10.0]
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     stiffness: jax.Array
     damping: jax.Array
     unlimited = ()

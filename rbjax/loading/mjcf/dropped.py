@@ -10,6 +10,7 @@ import numpy as np
 from rbjax.errors import listed
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
 from rbjax.loading.mjcf.fields import Off, is_at_joint, is_on, reason_left_out
+from rbjax.loading.mjcf.sensors import read_sensors
 
 _SHOWN = 4  # names listed before "and N more"
 #: prefix of entries about inverted limits
@@ -18,6 +19,8 @@ INVERTED = "joint limits whose lower end is above the upper one"
 FIXED = "fixed root link"
 #: prefixes of entries about contacts
 CONTACTS, COLLISION = "contacts (", "collision shapes"
+#: prefix of the entry about collision shapes of a URDF that are not read as geoms
+MESHES = "collision meshes"
 #: prefix of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
@@ -44,8 +47,11 @@ def dropped_features(
     limits: bool = False,
     friction: bool = False,
     constraints: bool = False,
+    contacts: bool = False,
 ) -> tuple[str, ...]:
-    """Return an entry of `Model.dropped` for each unsupported feature that changes the motion."""
+    """Return an entry of `Model.dropped` for each unsupported feature that changes the motion.
+
+    With `contacts`, limits and friction loss are supported, and `contacts_left_out` lists pairs."""
     obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
 
@@ -54,13 +60,13 @@ def dropped_features(
         if len(which):
             out.append(_named(what, m, kind, which))
 
-    if is_on(m, solved, Off.mjDSBL_CONTACT) and _may_collide(m):
+    if is_on(m, solved, Off.mjDSBL_CONTACT) and not contacts and _may_collide(m):
         out.append(f"{CONTACTS}{m.ngeom} geoms)")
     inverted = inverted_limits(m)
-    if is_on(m, solved, Off.mjDSBL_LIMIT) and not limits:
+    if is_on(m, solved, Off.mjDSBL_LIMIT) and not (limits or contacts):
         note("joint limits", m.jnt_limited & ~inverted, obj.mjOBJ_JOINT)
     note(INVERTED, inverted, obj.mjOBJ_JOINT)
-    if is_on(m, solved, Off.mjDSBL_FRICTIONLOSS) and not friction:
+    if is_on(m, solved, Off.mjDSBL_FRICTIONLOSS) and not (friction or contacts):
         rubs = np.isin(np.arange(m.njnt), m.dof_jntid[m.dof_frictionloss > 0])
         note("joint friction loss", rubs, obj.mjOBJ_JOINT)
     for why, which in _equalities_left_out(m, constraints=constraints).items():
@@ -80,10 +86,11 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the entries of `Model.dropped` about sensors and cameras, which are not loaded."""
+    """Return the entries of `Model.dropped` about cameras, and about sensors that are not read."""
     obj = mujoco.mjtObj
-    kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
-    return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)
+    kinds = read_sensors(m)[1]
+    out = [_named(what, m, obj.mjOBJ_SENSOR, which) for what, which in kinds.items()]
+    return (*out, *[_named("cameras", m, obj.mjOBJ_CAMERA, range(m.ncam))] * bool(m.ncam))
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
