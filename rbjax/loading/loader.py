@@ -36,6 +36,7 @@ from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
 from rbjax.loading.mjcf.forces import force_elements, inertial_frame
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
+from rbjax.loading.mjcf.surfaces import surface_fields
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -238,6 +239,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         return tuple(x.tolist())
 
     colors = [m.geom_rgba[i] if k < 0 else m.mat_rgba[k] for i, k in enumerate(m.geom_matid)]
+    pairs = pair_fields(m, array)
     return Geoms(
         size=array(m.geom_size),
         position=array(m.geom_pos),
@@ -257,7 +259,8 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
-        **pair_fields(m, array),
+        **pairs,
+        **surface_fields(m, pairs["pairs"], array),
     )
 
 
