@@ -33,10 +33,19 @@ from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_can
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of
-from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
-from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.contacts import (
+    check_geoms,
+    closed_pairs,
+    contacts_left_out,
+    kinds_of,
+    mixed_references,
+)
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, reflected
+from rbjax.loading.mjcf.forces import force_elements
+from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.mjcf.surfaces import surface_fields
+from rbjax.loading.mjcf.tendons import tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -49,6 +58,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
 _SHOWN = 8  # names listed before "and N more"
+_MIXED = "solref of mixed signs, in place of which MuJoCo takes (0.02, 1)"
 _ACTIVE = "numbers that no passive joint has, used as the file gives them"
 
 
@@ -62,6 +72,7 @@ def load(
     motors: bool = False,
     constraints: bool = True,
     compliant: bool = False,
+    contacts: bool = False,
 ) -> Model:
     """Load a `Model` from an MJCF or URDF file.
 
@@ -78,6 +89,9 @@ def load(
             (`model.constraints`).
         compliant: make the equalities compliant by MuJoCo's solref and solimp
             (`rbjax.constraints.Soft`); mimics stay rigid.
+        contacts: take the contacts, joint limits and friction loss of the file as one problem
+            (`model.contact = "mujoco"`), in place of the elements of `limits` and `friction`.
+            `model.dropped` names the pairs of geoms that have no closed form.
 
     Returns:
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
@@ -98,6 +112,7 @@ def load(
         flag("load", name, given)
     for name, given in (("motors", motors), ("constraints", constraints), ("compliant", compliant)):
         flag("load", name, given)
+    flag("load", "contacts", contacts)
     compiled, odd, mimics, lost = compile_source(
         source, floating_base=bool(floating_base), shapes=None
     )
@@ -111,14 +126,26 @@ def load(
             stacklevel=2,
         )
     taken = {"limits": limits, "friction": friction, "constraints": constraints}
+    taken["contacts"] = contacts
     dropped = features.dropped_features(compiled, **taken) + features.unread_features(compiled)
+    unread = features.COLLISION if contacts else features.MESHES
+    lost = tuple(x for x in lost if not x.startswith(unread))
+    mixed: tuple[str, ...] = ()
+    if contacts:
+        check_geoms(compiled)
+        dropped += contacts_left_out(compiled)
+        mixed = mixed_references(compiled)
     if any(x.startswith(features.COLLISION) for x in lost):  # from a URDF, with the link names
         dropped = tuple(x for x in dropped if not x.startswith(features.CONTACTS))
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
         f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
-        for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
+        for what, entries in (
+            ("left out of the model", dropped),
+            (_ACTIVE, active),
+            (_MIXED, mixed),
+        )
         if entries
     ]
     if texts and strict:
@@ -148,6 +175,7 @@ def from_compiled(
     friction: bool = False,
     constraints: bool = True,
     compliant: bool = False,
+    contacts: bool = False,
 ) -> Model:
     """Convert a compiled MuJoCo model to a `Model`."""
     check_finite_fields(m)
@@ -183,6 +211,7 @@ def from_compiled(
     driven = actuator_elements(m)
     affine = [x for x in driven if is_affine(x)]
     others = [x for x in driven if not is_affine(x)]
+    elastic = force_elements(m, limits=limits and not contacts, friction=friction and not contacts)
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -204,16 +233,19 @@ def from_compiled(
             params=array(np.zeros(0)),
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
-        geoms=geoms_of(m, array),
+        geoms=geoms_of(m, array, closed_pairs(m) if contacts else None),
+        tendons=tendons_of(m, array),
         solver=solver_parameters(m, array),
+        contact="mujoco" if contacts else None,
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
-        forces=(*force_elements(m, limits=limits, friction=friction), *others),
+        forces=(*elastic, *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        sensors=read_sensors(m)[0],
     )
 
 
@@ -232,14 +264,17 @@ def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
     return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
 
 
-def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
-    """Read all geoms, in the file's order. array: function that makes a leaf of a model."""
+def geoms_of(m: mujoco.MjModel, array: Callable, kept: list[int] | None = None) -> Geoms:
+    """Read all geoms, in the file's order.
+
+    array: function that makes a leaf of a model. kept: the pairs to read; None for all.
+    """
 
     def static(x: np.ndarray) -> tuple:
         return tuple(x.tolist())
 
     colors = [m.geom_rgba[i] if k < 0 else m.mat_rgba[k] for i, k in enumerate(m.geom_matid)]
-    pairs = pair_fields(m, array)
+    pairs = pair_fields(m, array, kept)
     return Geoms(
         size=array(m.geom_size),
         position=array(m.geom_pos),
@@ -251,7 +286,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable) -> Geoms:
         gap=array(m.geom_gap),
         solmix=array(m.geom_solmix),
         names=names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom),
-        types=tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type),
+        types=kinds_of(m),
         bodies=static(m.geom_bodyid - 1),
         contype=static(m.geom_contype),
         conaffinity=static(m.geom_conaffinity),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -30,6 +31,8 @@ class SolverParameters(Record):
         refsafe: whether time constants are at least two time steps; static.
         limited: the joints with limits, by index; static.
         rubbing: the dofs with friction loss, by index; static.
+        translating: the bodies that carry no other body and only slide along their own axes, by
+            index; their weights are 1 / mass, as in MuJoCo; static.
 
     Source: MuJoCo, *Computation*, constraint model.
     """
@@ -45,28 +48,32 @@ class SolverParameters(Record):
     refsafe: bool = eqx.field(static=True, default=True)
     limited: tuple[int, ...] = eqx.field(static=True, default=())
     rubbing: tuple[int, ...] = eqx.field(static=True, default=())
+    translating: tuple[int, ...] = eqx.field(static=True, default=())
 
-    def with_joint(self, joint: int, dofs: slice, count: int, *, limits: bool) -> SolverParameters:
+    def with_joint(
+        self, joint: int, body: int, dofs: slice, count: int, *, limits: bool
+    ) -> SolverParameters:
         """Return the parameters after a joint with other dofs is put in place of an old one.
 
         Args:
-            joint: the index of the joint.
+            joint, body: the indices of the joint and of its body.
             dofs: the dofs of the old joint.
             count: the number of dofs of the new joint. Equal numbers keep the friction loss.
             limits: whether the new joint keeps the limits of the old one.
         """
         limited = tuple(j for j in self.limited if limits or j != joint)
+        translating = tuple(b for b in self.translating if b != body)
         old = dofs.stop - dofs.start
         if count == old:
-            return self.replace(limited=limited)
+            return self.replace(limited=limited, translating=translating)
         given = {"frictionloss": 0.0, "friction_solref": SOLREF, "friction_solimp": SOLIMP}
         changes: dict[str, Any] = {
             name: _spliced(getattr(self, name), dofs, count, row) for name, row in given.items()
         }
         kept = [i for i in self.rubbing if not dofs.start <= i < dofs.stop]
         rubbing = tuple(i if i < dofs.start else i + count - old for i in kept)
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return SolverParameters(**fields | changes | {"limited": limited, "rubbing": rubbing})
+        changes |= {"limited": limited, "rubbing": rubbing, "translating": translating}
+        return dataclasses.replace(self, **changes)
 
 
 #: MuJoCo's default reference and impedance

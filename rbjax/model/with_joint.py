@@ -70,7 +70,9 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
             params=_spliced(joints.params, slice(before, before + len(old.defaults)), own),
         ),
         keyframes=dataclasses.replace(keys, q=along_q(keys.q), v=along_v(keys.v)),
-        solver=None if solver is None else solver.with_joint(j, v, new.nv, limits=single),
+        solver=None
+        if solver is None
+        else solver.with_joint(j, top.joint_bodies[j], v, new.nv, limits=single),
         execution=model.execution.replace(zeros=None, constants=None),
     )
     return changed if model.execution.zeros is None else changed.fix_zeros()

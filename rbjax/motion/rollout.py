@@ -39,7 +39,7 @@ from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
 from rbjax.motion.step import with_memory
 from rbjax.motion.threaded import Steps, rollout_on_threads
-from rbjax.motion.trajectory import Trajectory, all_finite
+from rbjax.motion.trajectory import Trajectory, all_finite, check_save_every, scan_steps
 
 
 def rollout(
@@ -163,16 +163,12 @@ def run_rollout(
     advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
-    integer("rollout", "save_every", save_every, least=1, why=f", a divisor of the {steps} steps")
-    if steps % save_every:
-        raise InputError(
-            f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
-        )
+    save_every = check_save_every("rollout", save_every, steps)
     state = with_memory(model, state, dynamics, state.q.shape[:-1])
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
     threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
-    how = (int(save_every), steps, batched)
+    how = (save_every, steps, batched)
 
     def run_steps(*functions: Any) -> Trajectory:
         *asked, dynamics, advance = functions
@@ -241,20 +237,14 @@ def _states(
     """Integrate one sample and return all saved states, beginning with the initial one."""
     field = Field(model, how.dynamics, dt)
 
-    def once(state: State, i: jax.Array) -> tuple[State, None]:
+    def step(state: State, i: jax.Array) -> State:
         given = [] if rows is None else [rows[i]]
         if sources.has_functions:
             given.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *given)
-        return advance_state(how.integrator, field, i * dt, state, inputs, dt), None
+        return advance_state(how.integrator, field, i * dt, state, inputs, dt)
 
-    def segment(state: State, start: jax.Array) -> tuple[State, State]:
-        steps = start + jnp.arange(how.save_every)
-        state, _ = jax.lax.scan(jax.checkpoint(once), state, steps)
-        return state, state
-
-    starts = jnp.arange(0, how.count, how.save_every)
-    _, states = jax.lax.scan(jax.checkpoint(segment), state, starts)
+    states = scan_steps(step, state, how.count, how.save_every)
     return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), state, states)
 
 

@@ -20,7 +20,6 @@ from rbjax.dynamics.arguments import (
     check_arrays,
     check_moves,
     check_step,
-    shape_of,
 )
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
@@ -38,7 +37,7 @@ from rbjax.motion.term import (
     solver_of,
     unit_quaternions,
 )
-from rbjax.motion.trajectory import Trajectory, all_finite
+from rbjax.motion.trajectory import Trajectory, all_finite, check_times
 
 
 @automatic
@@ -123,7 +122,7 @@ def simulate(
     state = check_arrays("simulate", model, {"state": state})["state"]
     state = State(state.q, state.v, state.x)  # only dynamics with fixed steps have a memory
     check_moves("simulate", model)
-    ts, elapsed = _times(ts, state.q.dtype)
+    ts, elapsed = check_times("simulate", ts, state.q.dtype)
     inputs = inputs_between("simulate", model, Inputs(ctrl, tau, wrenches), ts)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
@@ -253,21 +252,6 @@ def _check_kind(name: str, value: Any, kind: type) -> None:
         f"simulate: {name} is {got}, expected None or a {kind.__name__} of diffrax, as "
         "diffrax.DirectAdjoint() or diffrax.ConstantStepSize()"
     )
-
-
-def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
-    """Check the times; return them and the times since the first, subtracted before rounding."""
-    known = not isinstance(ts, jax.core.Tracer)
-    shape_of("simulate", "ts", ts)
-    ts = np.asarray(ts) if known else ts
-    if ts.ndim != 1 or ts.shape[0] < 2:
-        raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")
-    if ts.dtype.kind not in "iuf":
-        raise InputError(f"simulate: ts has dtype {ts.dtype}, expected times in seconds")
-    elapsed = (ts - ts[0]).astype(dtype)
-    if known and not (np.diff(elapsed) > 0).all():
-        raise InputError("simulate: ts must increase from the first to the last")
-    return jnp.asarray(ts, dtype), jnp.asarray(elapsed)
 
 
 def _advances(step: jax.Array, elapsed: jax.Array) -> None:

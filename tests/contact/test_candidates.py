@@ -10,10 +10,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.contact.candidates import PairKind, candidates, cheap_distance, pair_contacts
-from rbjax.contact.narrow_phase import COUNTS, KINDS, PAIRS
-from tests.contact.test_narrow_phase import as_shape, poses, scene
-
-PRIMITIVES = [kinds for kinds in PAIRS if not {"mesh", "hfield"} & {*kinds}]
+from rbjax.contact.narrow_phase import COUNTS, KINDS
+from tests.contact.test_narrow_phase import PRIMITIVES, as_shape, poses, scene
 
 
 @pytest.mark.parametrize("kinds", PRIMITIVES, ids="-".join)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from rbjax.loading.mjcf.fields import Off, is_on
 from rbjax.model import SolverParameters
 
 _OVERRIDE = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+_SLIDES = 2  # body_simple of a body that only slides along its axes
 _CONES = {int(mujoco.mjtCone.mjCONE_PYRAMIDAL): "pyramidal"}
 
 
@@ -37,13 +38,17 @@ def solver_parameters(m: mujoco.MjModel, array: Callable) -> SolverParameters:
         refsafe=is_on(m, Off.mjDSBL_REFSAFE),
         limited=tuple(np.flatnonzero(limited).tolist()),
         rubbing=tuple(np.flatnonzero(rubbing).tolist()),
+        translating=tuple(np.flatnonzero(m.body_simple[1:] == _SLIDES).tolist()),
     )
 
 
-def pair_fields(m: mujoco.MjModel, array: Callable) -> dict[str, Any]:
+def pair_fields(
+    m: mujoco.MjModel, array: Callable, kept: Sequence[int] | None = None
+) -> dict[str, Any]:
     """Read the fields of `Geoms` about pairs.
 
-    If the file overrides the parameters of all contacts, all pairs are explicit.
+    If the file overrides the parameters of all contacts, all pairs are explicit. `kept` are the
+    positions in `contact_pairs` of the pairs to read; None for all.
     """
     pairs, n = contact_pairs(m), m.npair
     if not pairs:
@@ -68,5 +73,8 @@ def pair_fields(m: mujoco.MjModel, array: Callable) -> dict[str, Any]:
         "friction": friction, "solref": solref, "solreffriction": tangential, "solimp": solimp,
         "margin": margin, "gap": gap,
     }  # fmt: skip
-    leaves: dict[str, jax.Array] = {f"pair_{name}": array(x) for name, x in fields.items()}
-    return leaves | {"pairs": pairs, "pair_condim": tuple(condim)}
+    kept = range(len(pairs)) if kept is None else kept
+    own = [i for i in kept if i < n]
+    leaves: dict[str, jax.Array] = {f"pair_{name}": array(x[own]) for name, x in fields.items()}
+    chosen = tuple(pairs[i] for i in kept)
+    return leaves | {"pairs": chosen, "pair_condim": tuple(condim[i] for i in own)}

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
-from rbjax.loading.mjcf.dropped import COLLISION, FIXED, INVERTED
+from rbjax.loading.mjcf.dropped import COLLISION, FIXED, INVERTED, MESHES
 
 #: largest number of bodies in a file, which MuJoCo reads in half a minute; its limit in a chain
 #: is 1023
@@ -211,6 +211,9 @@ def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
     colliding = [link for link, x in tree.links.items() if x.find("collision") is not None]
     if colliding:
         out.append(f"{COLLISION} of links ({listed(colliding, _SHOWN)})")
+    meshes = [k for k, x in tree.links.items() if x.find("collision/geometry/mesh") is not None]
+    if meshes:
+        out.append(f"{MESHES} of links ({listed(meshes, _SHOWN)})")
     floats = any(x.kind == "floating" and x.parent == tree.root for x in tree.joints)
     mass = tree.links[tree.root].find("inertial/mass")
     moves = floating_base or floats or tree.root == GROUND

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import listed
-from rbjax.forces import Place
+from rbjax.forces import Place, PointSpring
 from rbjax.model import WORLD, Model
 
 _SHOWN = 8  # names listed before "and N more"
@@ -26,7 +26,8 @@ class Draft:
     model: the robot, with NumPy leaves.
     root, option, world, tendon, equality, actuator: elements of the file.
     bodies, joints: elements by index.
-    sites: names of the sites.
+    sites, tendons: names of the sites and tendons.
+    springs: springs that are written as tendons, after the tendons of the model.
     notes: parts of the model that are written differently, or left out.
     """
 
@@ -40,6 +41,8 @@ class Draft:
     bodies: list[ET.Element] = field(default_factory=list)
     joints: list[ET.Element] = field(default_factory=list)
     sites: list[str] = field(default_factory=list)
+    tendons: list[str] = field(default_factory=list)
+    springs: list[PointSpring] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @classmethod

@@ -21,6 +21,7 @@ from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.loader import from_compiled
 from rbjax.loading.mjcf.actuators import write_actuators
 from rbjax.loading.mjcf.constraints import write_constraints
+from rbjax.loading.mjcf.tendons import write_tendons
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
@@ -38,8 +39,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """Write a model as the text of an MJCF file from which `load` reads the same model.
 
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
-    armature and ranges, actuators with their states, sites, keyframes, gravity, timestep, and the
-    force elements and constraints that MJCF has.
+    armature and ranges, actuators with their states, sites, tendons, keyframes, gravity, timestep,
+    and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -88,6 +89,7 @@ def make_draft(model: Model) -> Draft:
     _write_bodies(draft)
     _write_joints(draft)
     _write_sites(draft)
+    write_tendons(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
     _write_keyframes(draft)

@@ -1,0 +1,125 @@
+"""Contacts of a file as the model takes them: pairs with a closed form, and checks of geoms."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from rbjax.contact.narrow_phase import PAIRS
+from rbjax.errors import ModelError, listed
+from rbjax.loading.mjcf.contact_pairs import contact_pairs
+from rbjax.loading.mjcf.fields import names_of
+from rbjax.loading.mjcf.solver_parameters import solver_parameters
+
+_SHOWN = 4  # names listed before "and N more"
+#: kind of a geom -> the number of entries of its size that must be positive
+_SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
+_BITS = mujoco.mjtEnableBit
+#: options that change contacts and are not supported
+_OPTIONS = {
+    _BITS.mjENBL_DIAGEXACT: "the exact diagonal of constraints (diagexact)",
+    _BITS.mjENBL_IPC: "barriers of contacts (ipc)",
+    _BITS.mjENBL_SPECULATIVE: "speculative contacts",
+}
+
+
+def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the kind of each geom, such as "box"."""
+    return tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type)
+
+
+def closed_pairs(m: mujoco.MjModel) -> list[int]:
+    """Return the positions in `contact_pairs` of the pairs that have a closed form."""
+    kinds = kinds_of(m)
+    return [i for i, pair in enumerate(contact_pairs(m)) if _is_closed(m, kinds, *pair)]
+
+
+def _is_closed(m: mujoco.MjModel, kinds: tuple[str, ...], a: int, b: int) -> bool:
+    """Return whether a pair has a closed form. A mesh needs its hull, with faces."""
+    if kinds[b] == "mesh" and not m.mesh_polynum[m.geom_dataid[b]]:
+        return False
+    return (kinds[a], kinds[b]) in PAIRS
+
+
+def contacts_left_out(m: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the entries of `Model.dropped` about contacts that have no closed form, and about
+    options of contacts."""
+    kinds = kinds_of(m)
+    missing = Counter(
+        (kinds[a], kinds[b]) for a, b in contact_pairs(m) if not _is_closed(m, kinds, a, b)
+    )
+    out = [f"contact pairs of {a} and {b} ({count})" for (a, b), count in missing.items()]
+    names = names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom)
+    used = np.unique(np.array(contact_pairs(m), int).reshape(-1, 2))
+    for what, values in (("adhesion", m.geom_adhesion), ("surface velocity", m.geom_surfacevel)):
+        which = [names[i] for i in used if np.any(values[i])]
+        out += [f"{what} of geoms ({listed(which, _SHOWN)})"] * bool(which)
+    if np.any(m.pair_adhesion):
+        out.append(f"adhesion of contact pairs ({int(np.count_nonzero(m.pair_adhesion))})")
+    if used.size:
+        out += [text for bit, text in _OPTIONS.items() if m.opt.enableflags & int(bit)]
+        if m.opt.noslip_iterations:
+            out.append("iterations without slip (noslip_iterations)")
+    return tuple(out)
+
+
+def check_geoms(m: mujoco.MjModel) -> None:
+    """Raise ModelError if a geom with contacts has no size, or a parameter is not finite."""
+    kinds, names = kinds_of(m), names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom)
+    pairs = contact_pairs(m)
+    for i in sorted({i for pair in pairs for i in pair}):
+        sizes = m.geom_size[i, : _SIZES.get(kinds[i], 0)]
+        if not (sizes > 0).all():
+            raise ModelError(
+                f"geom {names[i]!r}: the size of the {kinds[i]} is {sizes.tolist()}, expected "
+                "numbers above zero; correct it, or give the geom contype='0' conaffinity='0'"
+            )
+        for field in ("friction", "solref", "solimp", "margin", "gap", "solmix", "size"):
+            _check_finite(f"geom {names[i]!r}", field, getattr(m, f"geom_{field}")[i])
+    for k, (a, b) in enumerate(pairs[: m.npair]):
+        for field in ("friction", "solref", "solreffriction", "solimp", "margin", "gap"):
+            where = f"contact pair of {names[a]!r} and {names[b]!r}"
+            _check_finite(where, field, getattr(m, f"pair_{field}")[k])
+
+
+def _check_finite(where: str, field: str, values: np.ndarray) -> None:
+    values = np.atleast_1d(values)
+    if not np.isfinite(values).all():
+        wrong = values[~np.isfinite(values)][0]
+        raise ModelError(
+            f"{where}: {field} has {wrong}, expected finite numbers; correct it in the file"
+        )
+
+
+def mixed_references(m: mujoco.MjModel) -> tuple[str, ...]:
+    """List the geoms, contact pairs, joints and dofs whose solref has mixed signs."""
+    geoms, joints = (
+        names_of(m, kind, count)
+        for kind, count in (
+            (mujoco.mjtObj.mjOBJ_GEOM, m.ngeom),
+            (mujoco.mjtObj.mjOBJ_JOINT, m.njnt),
+        )
+    )
+    pairs = contact_pairs(m)
+    used = sorted({i for pair in pairs for i in pair})
+    solver = solver_parameters(m, np.asarray)
+
+    def rows() -> Iterator[tuple[str, str, np.ndarray]]:
+        for i in used:
+            yield "geoms", geoms[i], m.geom_solref[i]
+        for k, (a, b) in enumerate(pairs[: m.npair]):
+            yield "contact pairs", f"{geoms[a]} and {geoms[b]}", m.pair_solref[k]
+            yield "contact pairs", f"{geoms[a]} and {geoms[b]}", m.pair_solreffriction[k]
+        for j in solver.limited:
+            yield "joint limits", joints[j], m.jnt_solref[j]
+        for i in solver.rubbing:
+            yield "joint friction loss", joints[m.dof_jntid[i]], m.dof_solref[i]
+
+    found: dict[str, list[str]] = {}
+    for what, name, (first, second) in rows():
+        if (first > 0) != (second > 0) and name not in found.setdefault(what, []):
+            found[what].append(name)
+    return tuple(f"{what} ({listed(names, _SHOWN)})" for what, names in found.items() if names)
