@@ -26,6 +26,7 @@ class Draft:
     model: the robot, with NumPy leaves.
     root, option, world, tendon, equality, actuator: elements of the file.
     bodies, joints: elements by index.
+    geoms: elements of the geoms that are written, by index.
     sites: names of the sites.
     notes: parts of the model that are written differently, or left out.
     """
@@ -39,6 +40,7 @@ class Draft:
     actuator: ET.Element
     bodies: list[ET.Element] = field(default_factory=list)
     joints: list[ET.Element] = field(default_factory=list)
+    geoms: dict[int, ET.Element] = field(default_factory=dict)
     sites: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
