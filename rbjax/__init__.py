@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from rbjax.motion.simulate import simulate
     from rbjax.motion.step import acceleration, step
     from rbjax.motion.trajectory import Trajectory
+    from rbjax.sensors import sense
 
 __version__ = "0.1.0"
 
@@ -92,6 +93,7 @@ _MODULES = {
     "load": "loading",
     "rollout": "motion.rollout",
     "scenes": "loading",
+    "sense": "sensors",
     "simulate": "motion.simulate",
     "step": "motion.step",
     "write_back": "loading",
@@ -181,6 +183,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sense",
     "sensors",
     "simulate",
     "solvers",

@@ -68,17 +68,18 @@ def limited(engine: str, name: str, limit: float) -> float | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", help="if left out, those of the size")
-    parser.add_argument("--limit", type=float, default=1800.0)
+    parser.add_argument("--limit", type=float, help="seconds; 1,800 with --full, else 120")
     add_full(parser, ", ".join(ALL), next(iter(ALL)))
     opts = parser.parse_args()
+    limit = opts.limit or (1800.0 if opts.full else 120.0)
     rows = []
     for name in progress(opts.robots or [*ALL][: None if opts.full else 1]):
         row: dict[str, Any] = {"robot": name, "nv": compiled(name).nv}
-        mine = limited("rbjax", name, opts.limit)
-        peer = limited("MJX", name, opts.limit)
-        row |= {"rbjax s": mine or f"> {opts.limit:g}", "MJX s": peer or f"> {opts.limit:g}"}
+        mine = limited("rbjax", name, limit)
+        peer = limited("MJX", name, limit)
+        row |= {"rbjax s": mine or f"> {limit:g}", "MJX s": peer or f"> {limit:g}"}
         if mine:
-            ratio = mine / (peer or opts.limit)
+            ratio = mine / (peer or limit)
             row["ratio"] = ratio if peer else f"< {ratio:.2g}"
         rows.append(row)
         print(row, save(f"cpu-compile-{name}", [row]), flush=True)

@@ -25,7 +25,8 @@ from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
-from rbjax.model.leaves import site_transform, table
+from rbjax.model import Frame as NamedFrame
+from rbjax.model.leaves import frame_transform, site_transform, table
 from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
@@ -55,6 +56,8 @@ class Context:
     #: generalized forces of the actuators by dof, clipped to the joints' force ranges; only for
     #: elements with `after_actuators`
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: accelerations and forces that sensors read (`rbjax.sensors.Solution`), or None
+    solution: Any = field(default=None, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -113,6 +116,11 @@ class Context:
         s = self.model.site(site)
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
+
+    def frame(self, at: NamedFrame) -> Frame:
+        """Return the frame of an `rb.Frame`."""
+        body, placed = frame_transform(self.model, at, self.q.dtype)
+        return self.body(body).then(placed)
 
     def joint(self, joint: str | int) -> Joint:
         """Return a joint with its coordinates q and v."""
@@ -185,7 +193,7 @@ class Frame:
         return self.rotation @ self.twist.ang
 
     @cached_property
-    def _accelerated(self) -> Motion:
+    def own_acceleration(self) -> Motion:
         """The angular and classical linear acceleration at the frame's origin, in frame axes."""
         V, a = self._links.twist(self.link), self._links.acceleration(self.link)
         for X in self._placed:
@@ -197,13 +205,13 @@ class Frame:
     def acceleration(self) -> Vec3:
         """The acceleration of the frame's origin in world axes, m/s^2, without gravity. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.lin
+        return self.rotation @ self.own_acceleration.lin
 
     @cached_property
     def angular_acceleration(self) -> Vec3:
         """The angular acceleration in world axes, rad/s^2. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.ang
+        return self.rotation @ self.own_acceleration.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
         """Make loads of a force (3,) N and a torque (3,) N m in world axes.

@@ -40,8 +40,9 @@ from rbjax.loading.mjcf.contacts import (
     kinds_of,
     mixed_references,
 )
-from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
-from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, reflected
+from rbjax.loading.mjcf.forces import force_elements
+from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
@@ -241,6 +242,7 @@ def from_compiled(
         dropped=tuple(dropped),
         forces=(*elastic, *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        sensors=read_sensors(m)[0],
     )
 
 

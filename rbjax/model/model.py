@@ -164,6 +164,7 @@ class Model(Record):
     solver: SolverParameters | None = None  # as geoms
     #: the law of contacts, limits and friction loss: "mujoco", or None without contacts
     contact: str | None = eqx.field(static=True, default=None)
+    sensors: tuple = ()  # `rbjax.sensors.NamedSensor`, read by `rb.sense`
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)

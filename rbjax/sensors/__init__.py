@@ -1,37 +1,127 @@
 """Ideal sensors of a robot: functions from the state of motion to measured values."""
 
 from rbjax.forces.context import Context
+from rbjax.sensors.actuators import (
+    ActuatorForce,
+    ActuatorPosition,
+    ActuatorVelocity,
+    TendonActuatorForce,
+    TendonLimitPosition,
+    TendonLimitVelocity,
+    TendonPosition,
+    TendonVelocity,
+)
+from rbjax.sensors.bodies import (
+    Clock,
+    KineticEnergy,
+    PotentialEnergy,
+    SubtreeAngularMomentum,
+    SubtreeCenter,
+    SubtreeVelocity,
+)
 from rbjax.sensors.columns import Columns
-from rbjax.sensors.ideal import (
-    Accelerations,
-    Accelerometer,
-    Currents,
-    CustomSensor,
-    Gyro,
+from rbjax.sensors.contact_forces import ContactForces
+from rbjax.sensors.frames import (
+    AngularAcceleration,
+    AngularVelocity,
+    Attitude,
+    FrameXAxis,
+    FrameYAxis,
+    FrameZAxis,
+    LinearAcceleration,
+    LinearVelocity,
     Pose,
     Position,
+)
+from rbjax.sensors.inertial import (
+    Accelerometer,
+    ForceSensor,
+    Gyro,
+    Magnetometer,
+    TorqueSensor,
+    Velocimeter,
+)
+from rbjax.sensors.joints import (
+    Accelerations,
+    BallAngularVelocity,
+    BallQuaternion,
+    Currents,
+    CustomSensor,
+    JointActuatorForce,
+    JointLimitForce,
+    JointLimitPosition,
+    JointLimitVelocity,
+    JointPosition,
+    JointVelocity,
     Positions,
     Torques,
     Velocities,
 )
+from rbjax.sensors.named import NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
+from rbjax.sensors.rangefinder import Rangefinder
+from rbjax.sensors.sense import sense
+from rbjax.sensors.solution import Solution
+from rbjax.sensors.volumes import InsideSite, Touch, Volume
 
 __all__ = [
     "Accelerations",
     "Accelerometer",
+    "ActuatorForce",
+    "ActuatorPosition",
+    "ActuatorVelocity",
+    "AngularAcceleration",
+    "AngularVelocity",
+    "Attitude",
+    "BallAngularVelocity",
+    "BallQuaternion",
+    "Clock",
     "Columns",
+    "ContactForces",
     "Context",
     "Currents",
     "CustomSensor",
+    "ForceSensor",
+    "FrameXAxis",
+    "FrameYAxis",
+    "FrameZAxis",
     "Gyro",
+    "InsideSite",
+    "JointActuatorForce",
+    "JointLimitForce",
+    "JointLimitPosition",
+    "JointLimitVelocity",
+    "JointPosition",
+    "JointVelocity",
     "Kind",
+    "KineticEnergy",
+    "LinearAcceleration",
+    "LinearVelocity",
+    "Magnetometer",
+    "NamedSensor",
     "Pose",
     "Position",
     "Positions",
+    "PotentialEnergy",
+    "Rangefinder",
     "Sensor",
+    "Solution",
+    "SubtreeAngularMomentum",
+    "SubtreeCenter",
+    "SubtreeVelocity",
+    "TendonActuatorForce",
+    "TendonLimitPosition",
+    "TendonLimitVelocity",
+    "TendonPosition",
+    "TendonVelocity",
+    "TorqueSensor",
     "Torques",
+    "Touch",
+    "Velocimeter",
     "Velocities",
+    "Volume",
     "kinds",
     "register",
+    "sense",
     "sensor_of",
 ]

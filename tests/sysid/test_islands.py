@@ -134,9 +134,21 @@ def test_whose_numbers_are_whose():
     found = colour_jacobian(setup, Unknowns.of("test", sought, setup), 0, "q")
     right = independent_parts(setup)[model.joint("rhip")]
     assert list(found.part_of_unknown) == [right, ALL, right, ALL, ALL]
+
+
+def test_corrections_of_the_start_are_those_of_their_joints():
+    setup = Setup.of(robot(leg("l", 0.1, calf=False), leg("r", -0.1, calf=False)))
+    parts = [*independent_parts(setup)]
+    assert len({*parts}) == 2
     bias = Unknowns.of("test", {"bias": Unknown("sensors.q.bias")}, setup)
-    found = colour_jacobian(setup, bias, 2 * model.nv, "q")  # corrections of q and v at the start
-    assert list(found.part_of_unknown) == [*independent_parts(setup)] * 3
+
+    def found(x: jax.Array) -> jax.Array:
+        colouring = colour_jacobian(setup, bias, 2 * setup.model.nv, "q")  # of q and v
+        assert list(colouring.part_of_unknown) == parts * 3
+        return x
+
+    for run in (lambda f: f, jax.make_jaxpr):  # also while a program is traced
+        run(found)(0.0)
 
 
 def test_what_is_one_part():

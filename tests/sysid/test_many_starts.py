@@ -10,6 +10,7 @@ from rbjax.sysid import (
     Channel,
     Derived,
     FixedTotal,
+    Grid,
     Inertia,
     Recording,
     Setup,
@@ -18,6 +19,8 @@ from rbjax.sysid import (
     identify,
     many_starts,
 )
+from rbjax.sysid.estimators import multi_start
+from rbjax.sysid.estimators.staged_fit import StagedFit
 from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 
 MODEL = rb.load("pendulum")
@@ -100,3 +103,22 @@ def test_guesses_are_drawn_where_they_can_be():
     share, bias = p[:, -1], p[:, -2]
     assert share.min() < 0.05 and share.max() > 0.95 and np.abs(bias).max() <= 0.01
     assert len(np.unique(p, axis=0)) == 32
+
+
+def test_guesses_are_searched_with_steps_that_were_checked(monkeypatch):
+    """Before any search, and with the grid that came out of it."""
+
+    class Stop(Exception):
+        pass
+
+    def search(of, *args, **how):
+        raise Stop(of.grid)
+
+    checked = Grid(T / 4)
+    monkeypatch.setattr(StagedFit, "shorten_steps", lambda fit: setattr(fit, "grid", checked))
+    monkeypatch.setattr(multi_start, "search_together", search)
+    t = np.arange(20) * T
+    still = Recording("still", {"q": Channel(t, np.zeros(20)), "v": Channel(t, np.zeros(20))})
+    with pytest.raises(Stop) as found:
+        many_starts(turning(0.05), still, ROTOR, guesses=2, spread=1.0)
+    assert found.value.args == (checked,)

@@ -40,10 +40,11 @@ def test_candidates_that_are_not_nested_are_refused():
         select({}, T)
 
 
-def test_exact_torques_of_a_smaller_model():
-    """What larger models leave is rounding, in either order."""
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_exact_torques_of_a_smaller_model(unit):
+    """What larger models leave is rounding, in either order and in any unit."""
     t = np.linspace(0.0, 1.0, 50)
     powers = np.stack([t**k for k in range(4)], 1)
     lines = {f"degree {n}": (powers[:, : n + 1], "abcd"[: n + 1]) for n in range(4)}
     for exact, name in ((3 * t, "degree 1"), (2 - t**3, "degree 3"), (0 * t + 5, "degree 0")):
-        assert select(lines, exact).name == name
+        assert select(lines, unit * exact).name == name

@@ -7,6 +7,7 @@ import pytest
 import rbjax as rb
 from rbjax.errors import InputError
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, squares
+from rbjax.sysid.simulation import objective
 from rbjax.sysid.simulation.objective import _keep, faster
 
 MODEL = rb.load("cart_pole")
@@ -58,6 +59,16 @@ def test_forward_is_twice_the_jacobian_by_the_residual(forward):
     way[of.names.index("delay")] *= 0.01
     both = (of.value(of.x + h * way) - of.value(of.x - h * way)) / (2 * h)
     np.testing.assert_allclose(slope @ way, both, rtol=1e-6)
+
+
+@pytest.mark.parametrize("memory", [None, 1000])
+def test_states_are_kept_within_the_memory_that_is_given_or_there(memory, monkeypatch):
+    asked = []
+    monkeypatch.setattr(objective, "_keep", lambda setup, runs, grid, budget: asked.append(budget))
+    monkeypatch.setattr(objective, "memory_share", lambda: 12345)
+    how = {"grid": GRID, "estimate_initial_state": False, "mode": "reverse"}
+    squares(SETUP, RUNS, SOUGHT, memory=memory, **how)
+    assert asked == [memory or 12345]
 
 
 @pytest.mark.parametrize("memory", [pytest.param(None, marks=pytest.mark.slow), 1000])

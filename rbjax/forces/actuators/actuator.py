@@ -124,11 +124,18 @@ class Actuator(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, context: Context) -> Loads:
-        seen = self._signals(context)
+    def output(self, context: Context) -> Lane:
+        """Compute the scalar force, which the moment arms of the transmission multiply."""
+        return self._output(self._signals(context))
+
+    def _output(self, seen: Signals) -> Lane:
         limits = table(self.forcerange, seen.dtype)[None]
         force = jnp.asarray(self.law.force(seen), seen.dtype)
-        force = add(clip(force, limits, 0), self.law.friction(seen))
+        return add(clip(force, limits, 0), self.law.friction(seen))
+
+    def loads(self, context: Context) -> Loads:
+        seen = self._signals(context)
+        force = self._output(seen)
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
     def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:

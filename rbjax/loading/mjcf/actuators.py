@@ -81,10 +81,11 @@ def _transmission(m: mujoco.MjModel, i: int) -> Transmission:
         return SiteWrench(gear, target) if other < 0 else SitePose(gear, target, other)
     if kind == Trn.SLIDERCRANK:
         return SliderCrank(gear, leaf(m.actuator_cranklength[i]), target, other)
-    return _tendon(m, target, gear)
+    return tendon_transmission(m, target, gear)
 
 
-def _tendon(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
+def tendon_transmission(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
+    """Read the path of a tendon as a transmission."""
     at = int(m.tendon_adr[tendon])
     rows = slice(at, at + int(m.tendon_num[tendon]))
     kinds, things, given = m.wrap_type[rows], m.wrap_objid[rows], m.wrap_prm[rows]

@@ -10,6 +10,7 @@ import numpy as np
 from rbjax.errors import listed
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
 from rbjax.loading.mjcf.fields import Off, is_at_joint, is_on, reason_left_out
+from rbjax.loading.mjcf.sensors import read_sensors
 
 _SHOWN = 4  # names listed before "and N more"
 #: prefix of entries about inverted limits
@@ -85,10 +86,11 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the entries of `Model.dropped` about sensors and cameras, which are not loaded."""
+    """Return the entries of `Model.dropped` about cameras, and about sensors that are not read."""
     obj = mujoco.mjtObj
-    kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
-    return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)
+    kinds = read_sensors(m)[1]
+    out = [_named(what, m, obj.mjOBJ_SENSOR, which) for what, which in kinds.items()]
+    return (*out, *[_named("cameras", m, obj.mjOBJ_CAMERA, range(m.ncam))] * bool(m.ncam))
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:

@@ -12,6 +12,8 @@ import numpy as np
 
 #: flags by which a file disables features
 Off = mujoco.mjtDisableBit
+#: quaternion of no rotation
+ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def members(enum: Any) -> SimpleNamespace:
@@ -94,6 +96,15 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
     return bool(servo and angle)
 
 
+def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
+    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
+    if same == int(kinds.mjSAMEFRAME_BODY):
+        return np.zeros(3), ALIGNED
+    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
+    return m.body_ipos[b], m.body_iquat[b] if turned else ALIGNED
+
+
 def reason_left_out(m: mujoco.MjModel, i: int) -> str:
     """Return the reason why actuator i is not supported; empty if it is supported."""
     transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
@@ -106,7 +117,7 @@ def reason_left_out(m: mujoco.MjModel, i: int) -> str:
     if transmission == Trn.BODY:
         return "adhesion, which needs contacts"
     if transmission == Trn.TENDON:
-        if _wraps(m, tendon):
+        if tendon_wraps(m, tendon):
             return "tendons that wrap around geoms"
         several = (m.actuator_trntype == Trn.TENDON) & (m.actuator_trnid[:, 0] == tendon)
         if m.tendon_actfrclimited[tendon] and several.sum() > 1:
@@ -144,7 +155,8 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
     )
 
 
-def _wraps(m: mujoco.MjModel, tendon: int) -> bool:
+def tendon_wraps(m: mujoco.MjModel, tendon: int) -> bool:
+    """Check whether a tendon wraps around geoms."""
     at = int(m.tendon_adr[tendon])
     kinds = m.wrap_type[at : at + int(m.tendon_num[tendon])]
     return bool(np.isin(kinds, (Wrap.SPHERE, Wrap.CYLINDER)).any())

@@ -38,7 +38,15 @@ from rbjax.forces import (
 from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
-from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected, safe_solref
+from rbjax.loading.mjcf.fields import (
+    ALIGNED,
+    Off,
+    inertial_frame,
+    is_on,
+    leaf,
+    reflected,
+    safe_solref,
+)
 
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
@@ -155,7 +163,6 @@ def _tendons(m: mujoco.MjModel) -> list[Element]:
 
 
 Array = np.ndarray
-_ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
@@ -215,23 +222,14 @@ def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
     return np.array(axes.get(int(m.geom_type[g]), m.geom_size[g]))
 
 
-def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
-    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
-    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
-    if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
-    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
-    return m.body_ipos[b], m.body_iquat[b] if turned else _ALIGNED
-
-
 def _geom_frame(m: mujoco.MjModel, g: int) -> tuple[Array, Array]:
     """Return the frame of a geom in its body as MuJoCo uses it."""
     same, kinds = int(m.geom_sameframe[g]), mujoco.mjtSameFrame
     position, attitude = inertial_frame(m, m.geom_bodyid[g])
     if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
+        return np.zeros(3), ALIGNED
     if same == int(kinds.mjSAMEFRAME_INERTIA):
         return position, attitude
     if same == int(kinds.mjSAMEFRAME_BODYROT):
-        return m.geom_pos[g], _ALIGNED
+        return m.geom_pos[g], ALIGNED
     return m.geom_pos[g], attitude if same == int(kinds.mjSAMEFRAME_INERTIAROT) else m.geom_quat[g]

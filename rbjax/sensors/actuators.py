@@ -1,0 +1,182 @@
+"""Sensors of actuators and tendons: length, velocity and force of a transmission.
+
+    actuatorpos, tendonpos   l(q)        actuatorvel, tendonvel   l'
+    actuatorfrc              f(u, x, l, l')
+    tendonlimitpos           d = l - lower or upper - l, if d < margin, else 0
+(MuJoCo, *Computation*, transmission.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError
+from rbjax.forces.acting import element_contexts
+from rbjax.forces.actuators.actuator import Actuator
+from rbjax.forces.actuators.transmissions import Reach, Transmission
+from rbjax.forces.context import Context
+from rbjax.lanes import Lane, neg
+from rbjax.model import Model
+from rbjax.sensors.fixed import FixedSensor, reading
+from rbjax.sensors.protocol import register
+
+
+def actuator_context(context: Context, actuator: str | int) -> tuple[Actuator, Context] | None:
+    """Return an actuator and a context with its state; None if its control drives nothing."""
+    control = context.model.actuator(actuator)
+    pairs = context.once(actuator_context, lambda: element_contexts(context.model, context))
+    for element, seen in pairs:
+        if control in getattr(element, "controls", ()) and isinstance(element, Actuator):
+            return element, seen
+    return None
+
+
+class ActuatorSensor(FixedSensor):
+    """Base class of a sensor of an actuator. actuator: name or index of its control; static."""
+
+    actuator: str | int = eqx.field(static=True)
+
+    def check(self, model: Model) -> None:
+        model.actuator(self.actuator)
+
+    def reach(self, context: Context) -> Reach:
+        """Return the length and the moment arms of the actuator."""
+        found = actuator_context(context, self.actuator)
+        if found is None:
+            return Reach(jnp.zeros((), context.q.dtype), {})
+        element, seen = found
+        return seen.once(element.transmission, lambda: element.transmission.reach(seen))
+
+
+@register("actuatorpos", placed=True)
+class ActuatorPosition(ActuatorSensor):
+    """Measure the length of an actuator, gear times the coordinate of its joint or tendon."""
+
+    of = "rad or m"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return reading(context, [self.reach(context).length])
+
+
+@register("actuatorvel", placed=True)
+class ActuatorVelocity(ActuatorSensor):
+    """Measure the rate of the length of an actuator."""
+
+    of = "rad/s or m/s"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return reading(context, [self.reach(context).speed(context)])
+
+
+@register("actuatorfrc", placed=True)
+class ActuatorForce(ActuatorSensor):
+    """Measure the scalar force of an actuator, before its gear; zero without controls."""
+
+    of = "N m or N"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return reading(context, [actuator_force(context, self.actuator)])
+
+
+def actuator_force(context: Context, actuator: str | int) -> Lane:
+    """Return the scalar force of an actuator."""
+    found = actuator_context(context, actuator)
+    if found is None or context.ctrl is None:
+        return jnp.zeros((), context.q.dtype)
+    element, seen = found
+    return element.output(seen)
+
+
+class TendonSensor(FixedSensor):
+    """Base class of a sensor of a tendon.
+
+    tendon: its path, a transmission of gear 1 (`rbjax.forces.actuators.transmissions`).
+    """
+
+    tendon: Transmission
+
+    def reach(self, context: Context) -> Reach:
+        """Return the length and the moment arms of the tendon."""
+        return self.tendon.reach(context)
+
+
+class TendonPosition(TendonSensor):
+    """Measure the length of a tendon."""
+
+    of = "m"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return reading(context, [self.reach(context).length])
+
+
+class TendonVelocity(TendonSensor):
+    """Measure the rate of the length of a tendon."""
+
+    of = "m/s"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return reading(context, [self.reach(context).speed(context)])
+
+
+class TendonActuatorForce(FixedSensor):
+    """Measure the sum of the forces of the actuators at a tendon.
+
+    actuators: their names or indices; static.
+    """
+
+    of = "N"
+    actuators: tuple[str | int, ...] = eqx.field(static=True)
+
+    def check(self, model: Model) -> None:
+        if not isinstance(self.actuators, tuple):
+            raise InputError(f"TendonActuatorForce: got {self.actuators!r}, expected a tuple")
+        for actuator in self.actuators:
+            model.actuator(actuator)
+
+    def __call__(self, context: Context) -> jax.Array:
+        zero: Any = jnp.zeros((), context.q.dtype)
+        return reading(context, [sum((actuator_force(context, a) for a in self.actuators), zero)])
+
+
+class TendonLimitSensor(TendonSensor):
+    """Base class of a sensor of the limit of a tendon.
+
+    range: lower and upper limit of the length, m; infinite for none; static.
+    margin: distance before a limit at which it is near, m; static.
+    """
+
+    range: tuple[float, float] = eqx.field(static=True)
+    margin: float = eqx.field(static=True, default=0.0)
+
+    def nearest(self, context: Context, value: Callable[[Lane, Lane], Lane]) -> jax.Array:
+        """Return a value of the distance and its rate, of the first end that is near, or zero."""
+        reach, (low, high) = self.reach(context), self.range
+        length = jnp.asarray(reach.length, context.q.dtype)
+        speed = reach.speed(context)
+        out = jnp.zeros((), context.q.dtype)
+        for distance, rate in ((high - length, neg(speed)), (length - low, speed)):
+            out = jnp.where(distance < self.margin, value(distance, rate), out)
+        return reading(context, [out])
+
+
+class TendonLimitPosition(TendonLimitSensor):
+    """Measure the distance of a tendon's length to its limit, less the margin; zero if positive."""
+
+    of = "m"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return self.nearest(context, lambda distance, _: distance - self.margin)
+
+
+class TendonLimitVelocity(TendonLimitSensor):
+    """Measure the rate of the distance of a tendon's length to its limit; zero if it is far."""
+
+    of = "m/s"
+
+    def __call__(self, context: Context) -> jax.Array:
+        return self.nearest(context, lambda _, rate: rate)
