@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     )
     from rbjax import loading as loading
     from rbjax import motion as motion
-    from rbjax.forces import applied_forces
+    from rbjax.forces import applied_forces, tendon_jacobian, tendon_lengths
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout
@@ -96,6 +96,8 @@ _MODULES = {
     "sense": "sensors",
     "simulate": "motion.simulate",
     "step": "motion.step",
+    "tendon_jacobian": "forces",
+    "tendon_lengths": "forces",
     "write_back": "loading",
     "write_mjcf": "loading",
 }
@@ -191,6 +193,8 @@ __all__ = [
     "stability",
     "step",
     "sysid",
+    "tendon_jacobian",
+    "tendon_lengths",
     "threads",
     "validation",
     "wheeled",

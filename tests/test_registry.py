@@ -32,6 +32,7 @@ ELSEWHERE = {
     "rollout",
     "scenes",
     "simulate",
+    "tendon_reach",
     "threads",
     "write_back",
     "write_mjcf",
@@ -118,6 +119,8 @@ REGISTRY = {
     "potential_energy": Entry(rb.potential_energy, ("q",)),
     "sense": Entry(_sense, ("q", "v", "ctrl")),
     "step": Entry(_step, ("q", "v", "ctrl")),
+    "tendon_jacobian": Entry(rb.tendon_jacobian, ("q",), robot="tendons"),
+    "tendon_lengths": Entry(rb.tendon_lengths, ("q",), robot="tendons"),
 }
 
 MODEL = robot("small", "rolled").model

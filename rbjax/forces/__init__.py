@@ -10,7 +10,10 @@ from rbjax.forces.joints.friction import GearLoss, JointFriction
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.place import Place
+from rbjax.forces.reach import Reach
 from rbjax.forces.springs import Bushing, PointSpring
+from rbjax.forces.tendons.lengths import tendon_jacobian, tendon_lengths
+from rbjax.forces.tendons.paths import tendon_reach
 
 __all__ = [
     "Place",
@@ -29,7 +32,11 @@ __all__ = [
     "JointPolynomials",
     "Loads",
     "PointSpring",
+    "Reach",
     "applied_forces",
     "elastic_energy",
     "on_each",
+    "tendon_jacobian",
+    "tendon_lengths",
+    "tendon_reach",
 ]

@@ -56,6 +56,8 @@ class Context:
     #: generalized forces of the actuators by dof, clipped to the joints' force ranges; only for
     #: elements with `after_actuators`
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: factors, by tendon, of the forces of its actuators, which keep their sum within its range
+    scales: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
     #: accelerations and forces that sensors read (`rbjax.sensors.Solution`), or None
     solution: Any = field(default=None, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
@@ -166,6 +168,12 @@ class Frame:
     def pose(self) -> Transform:
         """The pose in the world."""
         return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
+
+    @property
+    def on_link(self) -> Transform:
+        """The pose in the link that carries the frame."""
+        still = Transform(Mat3.identity(), Vec3.zero())
+        return functools.reduce(Transform.then, self._placed, still)
 
     @property
     def position(self) -> Vec3:

@@ -44,6 +44,7 @@ from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, refl
 from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
+from rbjax.loading.mjcf.tendons import tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -232,6 +233,7 @@ def from_compiled(
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array, closed_pairs(m) if contacts else None),
+        tendons=tendons_of(m, array),
         solver=solver_parameters(m, array),
         contact="mujoco" if contacts else None,
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -16,12 +17,14 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.forces.acting import element_contexts
+from rbjax.forces.acting import element_contexts, tendon_scales
 from rbjax.forces.actuators.actuator import Actuator
-from rbjax.forces.actuators.transmissions import Reach, Transmission
 from rbjax.forces.context import Context
+from rbjax.forces.reach import Reach
+from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, neg
 from rbjax.model import Model
+from rbjax.model.leaves import numbers, scalar
 from rbjax.sensors.fixed import FixedSensor, reading
 from rbjax.sensors.protocol import register
 
@@ -89,20 +92,29 @@ def actuator_force(context: Context, actuator: str | int) -> Lane:
     if found is None or context.ctrl is None:
         return jnp.zeros((), context.q.dtype)
     element, seen = found
-    return element.output(seen)
+    return element.output(replace(seen, scales=_scales(context)))
+
+
+def _scales(context: Context) -> dict[int, Lane]:
+    """Return the factors that keep the forces of the actuators of tendons within their ranges."""
+    pairs = context.once(actuator_context, lambda: element_contexts(context.model, context))
+    return context.once(tendon_scales, lambda: tendon_scales(context.model, pairs))
 
 
 class TendonSensor(FixedSensor):
     """Base class of a sensor of a tendon.
 
-    tendon: its path, a transmission of gear 1 (`rbjax.forces.actuators.transmissions`).
+    tendon: name or index; static.
     """
 
-    tendon: Transmission
+    tendon: str | int = eqx.field(static=True)
+
+    def check(self, model: Model) -> None:
+        model.tendon(self.tendon)
 
     def reach(self, context: Context) -> Reach:
         """Return the length and the moment arms of the tendon."""
-        return self.tendon.reach(context)
+        return tendon_reach(context, self.tendon)
 
 
 class TendonPosition(TendonSensor):
@@ -144,23 +156,23 @@ class TendonActuatorForce(FixedSensor):
 
 
 class TendonLimitSensor(TendonSensor):
-    """Base class of a sensor of the limit of a tendon.
+    """Base class of a sensor of the limit of a tendon, which is near within `limit_margin`."""
 
-    range: lower and upper limit of the length, m; infinite for none; static.
-    margin: distance before a limit at which it is near, m; static.
-    """
-
-    range: tuple[float, float] = eqx.field(static=True)
-    margin: float = eqx.field(static=True, default=0.0)
+    def margin(self, context: Context) -> Lane:
+        """Return the distance before a limit at which it is near, m."""
+        own: Any = context.model.tendons
+        return scalar(own.limit_margin[context.model.tendon(self.tendon)], context.q.dtype)
 
     def nearest(self, context: Context, value: Callable[[Lane, Lane], Lane]) -> jax.Array:
         """Return a value of the distance and its rate, of the first end that is near, or zero."""
-        reach, (low, high) = self.reach(context), self.range
+        own: Any = context.model.tendons
+        limits = own.range[context.model.tendon(self.tendon)]
+        reach, (low, high) = self.reach(context), numbers(limits, context.q.dtype)
         length = jnp.asarray(reach.length, context.q.dtype)
         speed = reach.speed(context)
         out = jnp.zeros((), context.q.dtype)
         for distance, rate in ((high - length, neg(speed)), (length - low, speed)):
-            out = jnp.where(distance < self.margin, value(distance, rate), out)
+            out = jnp.where(distance < self.margin(context), value(distance, rate), out)
         return reading(context, [out])
 
 
@@ -170,7 +182,7 @@ class TendonLimitPosition(TendonLimitSensor):
     of = "m"
 
     def __call__(self, context: Context) -> jax.Array:
-        return self.nearest(context, lambda distance, _: distance - self.margin)
+        return self.nearest(context, lambda distance, _: distance - self.margin(context))
 
 
 class TendonLimitVelocity(TendonLimitSensor):

@@ -252,7 +252,9 @@ class LinkMotion:
         return joint.transform(constants), joint.S
 
     def axis(self, link: int) -> Motion:
-        """Return the axis S of a link in its own axes, for drivers whose whole form is columns."""
+        """Return the axis S of a link in its own axes."""
+        if self.driver.listed:
+            return self._links[link][0].S
         if self.driver.topology.constant_axes:
             kind = self.driver.topology.dofs[link].kind
             return kind.axis(self.driver.prepared.link(link).params)

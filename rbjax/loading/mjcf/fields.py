@@ -78,6 +78,11 @@ def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
     return m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT)
 
 
+def is_at_tendon(m: mujoco.MjModel, i: int) -> bool:
+    """Check whether actuator i pulls a tendon."""
+    return bool(m.actuator_trntype[i] == Trn.TENDON)
+
+
 def is_circular(m: mujoco.MjModel, i: int) -> bool:
     """Check whether actuator i is a position servo on an angle with setpoints modulo full turns."""
     servo = m.actuator_gaintype[i] == Gain.PID or (
@@ -107,21 +112,14 @@ def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[np.ndarray, np.ndarray]:
 
 def reason_left_out(m: mujoco.MjModel, i: int) -> str:
     """Return the reason why actuator i is not supported; empty if it is supported."""
-    transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
     if is_off(m, i):
         return ""
     if m.actuator_delay[i]:
         return "delays of controls"
     if m.actuator_plugin[i] >= 0 or not _law_is_known(m, i):
         return "laws of a plugin or callback"
-    if transmission == Trn.BODY:
+    if m.actuator_trntype[i] == Trn.BODY:
         return "adhesion, which needs contacts"
-    if transmission == Trn.TENDON:
-        if tendon_wraps(m, tendon):
-            return "tendons that wrap around geoms"
-        several = (m.actuator_trntype == Trn.TENDON) & (m.actuator_trnid[:, 0] == tendon)
-        if m.tendon_actfrclimited[tendon] and several.sum() > 1:
-            return "several on a tendon that limits their sum"
     return ""
 
 
@@ -153,13 +151,6 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
         and gain in (Gain.FIXED, Gain.AFFINE, Gain.MUSCLE)
         and bias in (Bias.NONE, Bias.AFFINE, Bias.MUSCLE)
     )
-
-
-def tendon_wraps(m: mujoco.MjModel, tendon: int) -> bool:
-    """Check whether a tendon wraps around geoms."""
-    at = int(m.tendon_adr[tendon])
-    kinds = m.wrap_type[at : at + int(m.tendon_num[tendon])]
-    return bool(np.isin(kinds, (Wrap.SPHERE, Wrap.CYLINDER)).any())
 
 
 def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:

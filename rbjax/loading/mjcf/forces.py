@@ -1,4 +1,4 @@
-"""Force elements of a compiled model: joints, gravity compensation, tendons, fluid.
+"""Force elements of a compiled model: joints, gravity compensation, fluid.
 
 Limits and friction loss are soft constraints in MuJoCo:
 
@@ -32,12 +32,10 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
-    Place,
-    PointSpring,
 )
 from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
-from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
+from rbjax.loading.mjcf.dropped import inverted_limits
 from rbjax.loading.mjcf.fields import (
     ALIGNED,
     Off,
@@ -58,7 +56,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
         found += _limits(m)
     if friction and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_FRICTIONLOSS):
         found += _friction(m)
-    found += [*_gravity_compensation(m), *_tendons(m), *fluid_elements(m)]
+    found += [*_gravity_compensation(m), *fluid_elements(m)]
     for element in found:
         check_finite(element)
     return tuple(found)
@@ -143,22 +141,6 @@ def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
         found.append(GravityCompensation(fraction, at, tuple(passive.tolist())))
     if m.nactuator and is_on(m, Off.mjDSBL_ACTUATION):  # else MuJoCo drops the actuated part
         found.append(GravityCompensation(fraction, at, tuple(driven.tolist()), actuated=True))
-    return found
-
-
-def _tendons(m: mujoco.MjModel) -> list[Element]:
-    """Read the springs and dampers of spatial tendons between two sites."""
-    found: list[Element] = []
-    for i in filter(lambda i: tendon_is_supported(m, i), range(m.ntendon)):
-        stiffness = np.array([m.tendon_stiffness[i], *m.tendon_stiffnesspoly[i]])
-        damping = np.array([m.tendon_damping[i], *m.tendon_dampingpoly[i]])
-        stiffness *= is_on(m, Off.mjDSBL_SPRING)
-        damping *= is_on(m, Off.mjDSBL_DAMPER)
-        if stiffness.any() or damping.any():
-            start = m.tendon_adr[i]
-            a, b = (Place.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
-            numbers = (stiffness, damping, m.tendon_lengthspring[i])
-            found.append(PointSpring(a, b, *map(jnp.asarray, numbers)))
     return found
 
 

@@ -14,13 +14,10 @@ import mujoco
 import numpy as np
 
 from rbjax import sensors
-from rbjax.loading.mjcf.actuators import tendon_transmission
 from rbjax.loading.mjcf.fields import (
     inertial_frame,
     is_off,
-    leaf,
     reason_left_out,
-    tendon_wraps,
 )
 from rbjax.model import Frame
 from rbjax.sensors import NamedSensor, Volume
@@ -165,16 +162,7 @@ def _actuator(m: mujoco.MjModel, i: int) -> tuple[int]:
 
 
 def _tendon(m: mujoco.MjModel, i: int) -> tuple:
-    tendon = int(m.sensor_objid[i])
-    if tendon_wraps(m, tendon):
-        raise NotRead("sensors of tendons that wrap around geoms")
-    return (tendon_transmission(m, tendon, leaf(np.eye(6)[0])),)
-
-
-def _tendon_limit(m: mujoco.MjModel, i: int) -> tuple:
-    tendon = int(m.sensor_objid[i])
-    limits = tuple(m.tendon_range[tendon].tolist())
-    return (*_tendon(m, i), limits, float(m.tendon_margin[tendon]))
+    return (int(m.sensor_objid[i]),)
 
 
 def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple[tuple[int, ...]]:
@@ -212,8 +200,8 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "jointlimitpos": (sensors.JointLimitPosition, _joint_limit),
     "jointlimitvel": (sensors.JointLimitVelocity, _joint_limit),
     "jointlimitfrc": (sensors.JointLimitForce, _joint_limit),
-    "tendonlimitpos": (sensors.TendonLimitPosition, _tendon_limit),
-    "tendonlimitvel": (sensors.TendonLimitVelocity, _tendon_limit),
+    "tendonlimitpos": (sensors.TendonLimitPosition, _tendon),
+    "tendonlimitvel": (sensors.TendonLimitVelocity, _tendon),
     "framepos": (sensors.Position, _relative),
     "framequat": (sensors.Attitude, _relative),
     "framexaxis": (sensors.FrameXAxis, _relative),

@@ -16,12 +16,11 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
-    Place,
     PointSpring,
 )
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
-from rbjax.loading.write.draft import Draft, text
+from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import Model
 
 Array = np.ndarray
@@ -44,7 +43,8 @@ def write_forces(draft: Draft) -> list[Element]:
     _write_limits(draft, limits)
     _write_friction(draft, friction)
     written += _write_lifted(draft, lifted)
-    written += [_write_spring(draft, spring) for spring in springs]
+    for spring in springs:
+        _write_spring(draft, spring)
     return written + _write_fluids(draft, boxes, ellipsoids)
 
 
@@ -163,18 +163,18 @@ def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[in
     return sorted(shares[True]) if same and whole and True in shares and model.nu else None
 
 
-def _write_spring(draft: Draft, spring: PointSpring) -> Element:
+def _write_spring(draft: Draft, spring: PointSpring) -> None:
     """Write a spring as a spatial tendon between two sites."""
     ends = [draft.site(place) for place in (spring.a, spring.b)]
     k, d = (_padded(draft, x) for x in (spring.stiffness, spring.damping))
     tendon = ET.SubElement(
-        draft.tendon, "spatial", name=f"spring{len(draft.tendon)}", stiffness=text(k),
+        draft.tendon, "spatial", name=unique(["spring"], draft.tendons)[0], stiffness=text(k),
         damping=text(d), springlength=text(spring.slack),
     )  # fmt: skip
+    draft.tendons.append(tendon.get("name", ""))
     for name in ends:
         ET.SubElement(tendon, "site", site=name)
-    at = Place(np.zeros(3), np.eye(4)[0], site=0)  # type: ignore[arg-type]
-    return PointSpring(at, at, k, d, spring.slack)  # type: ignore[arg-type]
+    draft.springs.append(dataclasses.replace(spring, stiffness=k, damping=d))
 
 
 def _padded(draft: Draft, x: Any) -> Array:

@@ -21,6 +21,7 @@ from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.loader import from_compiled
 from rbjax.loading.mjcf.actuators import write_actuators
 from rbjax.loading.mjcf.constraints import write_constraints
+from rbjax.loading.mjcf.tendons import write_tendons
 from rbjax.loading.write.contacts import write_geoms, write_pairs, write_solver
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
@@ -39,9 +40,9 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """Write a model as the text of an MJCF file from which `load` reads the same model.
 
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
-    armature and ranges, actuators with their states, sites, geoms except meshes and height fields,
-    the pairs that may touch, parameters of contacts, limits and friction loss, keyframes, gravity,
-    timestep, and the force elements and constraints that MJCF has.
+    armature and ranges, actuators with their states, sites, tendons, geoms except meshes and height
+    fields, the pairs that may touch, parameters of contacts, limits and friction loss, keyframes,
+    gravity, timestep, and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -91,6 +92,7 @@ def make_draft(model: Model) -> Draft:
     write_solver(draft)
     write_geoms(draft)
     _write_sites(draft)
+    write_tendons(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
     if draft.geoms:

@@ -33,7 +33,7 @@ from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.wheeled.fields import check_ranges, number
@@ -97,8 +97,8 @@ class TyreOnGround(Element):
         [-79.6, 0.0, 99.5]
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     tyre: Tyre | Relaxing
     radius: jax.Array = number()
     stiffness: jax.Array = number()

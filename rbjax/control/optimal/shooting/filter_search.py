@@ -13,6 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes.arrays import select
+
 KEPT = 64
 SHARE = 1e-5  # gamma: a margin relative to the infeasibility
 ARMIJO = 1e-4
@@ -93,4 +95,4 @@ def updated_filter(
         phi=filter_.phi.at[at].set(now.phi - SHARE * now.theta),
         used=filter_.used + 1,
     )
-    return jax.tree.map(lambda new, old: jnp.where(enters, new, old), new, filter_)
+    return select(enters, new, filter_)
