@@ -77,7 +77,7 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
         motors = what == "actuator_names" and not theirs  # load(..., motors=True)
         if ours != theirs and not motors:
             raise InputError(
-                f"write_back: the model has {what} {ours}, expected those of the file, {theirs}"
+                f"write_back: the model has {what} {ours}, expected the names of the file, {theirs}"
             )
     model, before = (jax.tree.map(np.asarray, m) for m in (model, before))
     out = _urdf(model, before, given) if urdf else _mjcf(model, before, given, compiled)
@@ -242,6 +242,6 @@ def _check(model: Model, again: Model, urdf: bool) -> None:
     if wrong:
         hint = "; a URDF has no armature, stiffness or gravity" if urdf else ""
         raise ModelError(
-            f"write_back: the file cannot say these numbers of the model: {', '.join(wrong)}{hint};"
-            " `write_mjcf` writes a file of its own"
+            "write_back: the file cannot express these parameters of the model: "
+            f"{', '.join(wrong)}{hint}; use `write_mjcf`, which writes a new file"
         )

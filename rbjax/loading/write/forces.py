@@ -101,7 +101,7 @@ def _write_limits(draft: Draft, elements: list[JointLimits]) -> None:
     joints = [j for x in elements for j in map(draft.model.joint, x.joints)]
     if joints:
         draft.note(
-            "compliant stops as ranges alone, with MuJoCo's softness (load with limits=True)",
+            "compliant stops, as joint ranges with MuJoCo's softness (load with limits=True)",
             _names(draft, joints),
         )
 

@@ -111,8 +111,8 @@ def _known(model: Model) -> Model:
     check_model("write_mjcf", model, fix=one)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
         raise InputError(
-            "write_mjcf: got a traced model, expected known numbers; call it outside of jit, vmap "
-            "and grad"
+            "write_mjcf: got a traced model, expected concrete values; call it outside of jit, "
+            "vmap and grad"
         )
     kinds = zip(model.joint_names, model.topology.joint_kinds, strict=True)
     others = [f"{name} ({kind})" for name, kind in kinds if kind not in _KINDS]
@@ -253,7 +253,7 @@ def _write_joints(draft: Draft) -> None:
                 attributes[key] = text(limits)
         draft.joints.append(draft.add(body, "joint", **attributes))
     if uneven:
-        draft.note("the first number, where the axes of a joint have several", uneven)
+        draft.note("the value of the first axis, where the axes of a joint differ", uneven)
 
 
 def _write_sites(draft: Draft) -> None:
@@ -299,6 +299,6 @@ def compile_mjcf(mjcf: str) -> mujoco.MjModel:
     except ValueError as error:
         message = " ".join(str(error).split())
         raise ModelError(
-            f"write_mjcf: MuJoCo does not take the file of this model: {message}; correct the "
-            f"number that it names with model.replace"
+            f"write_mjcf: MuJoCo rejects the file of this model: {message}; correct the value "
+            "named there with model.replace"
         ) from error
