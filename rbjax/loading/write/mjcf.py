@@ -26,6 +26,7 @@ from rbjax.loading.write.contacts import write_geoms, write_pairs, write_solver
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
+from rbjax.loading.write.sensors import sensors_differ, write_sensors
 from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
@@ -42,7 +43,7 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
     armature and ranges, actuators with their states, sites, tendons, geoms except meshes and height
     fields, the pairs that may touch, parameters of contacts, limits and friction loss, keyframes,
-    gravity, timestep, and the force elements and constraints that MJCF has.
+    sensors, gravity, timestep, and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -97,11 +98,14 @@ def make_draft(model: Model) -> Draft:
     constraints = write_constraints(draft)
     if draft.geoms:
         write_pairs(draft, compile_mjcf(serialize(draft)))
+    seen = write_sensors(draft)
     _write_keyframes(draft)
     compiled = compile_mjcf(serialize(draft))
     again = jax.tree.map(np.asarray, from_compiled(compiled, contacts=model.contact is not None))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
+    if changed := sensors_differ(draft, again, seen):
+        draft.note("sensors that are read back as others", changed)
     return draft
 
 
