@@ -111,7 +111,7 @@ def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     g, geoms = one.geom.index, context.model.geoms
     if geoms is None:
         raise InputError("a tendon wraps around a geom, but model.geoms is None; keep the geoms")
-    geom = _geom_frame(context, g)
+    geom = geom_frame(context, g)
     centre = geom.position
     kind, radius = geoms.types[g], lane(table(geoms.size, context.q.dtype)[:, 0], g)
     side, inside = None, False
@@ -131,7 +131,8 @@ def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     return path.length, [first, Piece(geom.link, end.link, end.position, path.last)]
 
 
-def _geom_frame(context: Context, geom: int) -> Frame:
+def geom_frame(context: Context, geom: int) -> Frame:
+    """Return the frame of a geom."""
     geoms: Any = context.model.geoms
     quat, p = (table(x, context.q.dtype) for x in (geoms.orientation, geoms.position))
     placed = Transform(
