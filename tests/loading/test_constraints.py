@@ -18,7 +18,8 @@ from tests.robots import QUICK, load_quietly
 
 CASSIE = Path(__file__).parents[3] / "shared" / "data" / "cassie"  # beside the repository
 TREE = """<mujoco><option jacobian="dense"><flag contact="disable"/></option><worldbody>
-  <site name="ground" pos="0.3 0 0.2" quat="1 0 2 0"/><body name="stone"><geom name="stone" size="0.1"/></body>
+  <site name="ground" pos="0.3 0 0.2" quat="1 0 2 0"/>
+  <body name="stone"><geom name="stone" size="0.1"/></body>
   <body name="a" pos="0 0 1"><freejoint/><geom size="0.1"/>
     <site name="a" pos="0.1 0 0" quat="1 2 0 0"/>
     <body name="b" pos="1 0 0"><joint name="hinge" ref="20" axis="1 2 0"/><geom size="0.1"/>

@@ -43,8 +43,9 @@ class TendonPolynomial(Constraint):
         >>> text = f"<worldbody>{arm}</worldbody><tendon>{belt}</tendon>"
         >>> model = rb.load(f"<mujoco>{text}</mujoco>")
         >>> tight = rb.constraints.TendonPolynomial("belt", None, [0.5])
-        >>> rb.constraints.assemble(model.with_constraints(tight), model.default_state().q).q
-        Array([0.25], dtype=float32)
+        >>> state = model.default_state()
+        >>> rb.constraints.residual(model.with_constraints(tight), state).value.tolist()
+        [-0.5]
     """
 
     tendon: str | int = eqx.field(static=True)
