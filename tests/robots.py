@@ -106,7 +106,7 @@ class Robot:
 def load_quietly(source: Any, **options: Any) -> rb.Model:
     """`rb.load` without warnings about features left out."""
     with warnings.catch_warnings():
-        known = ".*(left out of the model|move no mass|no passive joint has)"
+        known = ".*(left out of the model|move no mass|no passive joint can have)"
         warnings.filterwarnings("ignore", message=known)
         return rb.load(source, **options)
 

@@ -1,7 +1,7 @@
 """Forces on a robot: springs, dampers, actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
-from rbjax.forces.context import Context, Frame, Joint, on_each
+from rbjax.forces.context import Context, Frame, JointState, on_each
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid import EllipsoidFluid, InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
@@ -25,7 +25,7 @@ __all__ = [
     "GravityCompensation",
     "InertiaBoxFluid",
     "Context",
-    "Joint",
+    "JointState",
     "JointCurves",
     "JointFriction",
     "JointLimits",

@@ -73,7 +73,7 @@ def _given(element: Element, seen: Context) -> Loads:
     if not isinstance(found, Loads):
         raise InputError(
             f"{type(element).__name__}.loads returned {type(found).__name__}, expected Loads: "
-            "what Frame.push and Joint.push return, and sums of these"
+            "what Frame.push and JointState.push return, and sums of these"
         )
     return found
 
@@ -121,7 +121,7 @@ def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
             own = element.rate(seen) if dt is None else element.advance(seen, dt)
             if len(own) != element.size:
                 name = f"{type(element).__name__}.{'rate' if dt is None else 'advance'}"
-                raise InputError(f"{name} returned {len(own)} numbers, expected {element.size}")
+                raise InputError(f"{name} returned {len(own)} values, expected {element.size}")
             found += list(own)
     return pack(found, context.x)
 

@@ -124,14 +124,14 @@ class Context:
         body, placed = frame_transform(self.model, at, self.q.dtype)
         return self.body(body).then(placed)
 
-    def joint(self, joint: str | int) -> Joint:
+    def joint(self, joint: str | int) -> JointState:
         """Return a joint with its coordinates q and v."""
         top = self.model.topology
         j = self.model.joint(joint)
         nq, nv = top.joints[j].nq, top.joints[j].nv
         qs, vs = top.joint_q[j], top.joint_v[j]
         q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
-        return Joint(top.joint_kinds[j], q, v, vs)
+        return JointState(top.joint_kinds[j], q, v, vs)
 
     def dofs(self, joints: Iterable[str | int]) -> list[tuple[int, Lane]]:
         """List the index and the velocity of each dof of joints."""
@@ -268,7 +268,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointState:
     """A joint at an instant: its kind, and its coordinates q and velocities v as lanes."""
 
     kind: str

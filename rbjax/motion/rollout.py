@@ -33,7 +33,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
-from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.inputs import Sources, check_sources
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
@@ -53,6 +53,7 @@ def rollout(
     integrator: str | Integrator | None = None,
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
     save_every: int = 1,
     steps: int | None = None,
     kernel: bool | None = None,
@@ -103,6 +104,8 @@ def rollout(
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected" (see
             `rbjax.recommend.formulation`).
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
         save_every: number of steps from one saved state to the next, a divisor of the steps.
         steps: the number of steps, if no input has a row for each step.
         kernel: True: a sample is a GPU thread or a lane of machine code. False: a scan under XLA.
@@ -143,6 +146,7 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
+    dynamics = with_contact("rollout", model, dynamics, contact)
     path, step, dynamics = run_rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,

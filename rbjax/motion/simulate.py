@@ -28,7 +28,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
-from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.inputs import inputs_between
 from rbjax.motion.term import (
     check_for_robots,
@@ -54,6 +54,7 @@ def simulate(
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
     dynamics: Dynamics = free_motion,
     progress: bool = False,
     throw: bool = True,
@@ -98,6 +99,8 @@ def simulate(
         dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
         progress: whether to show diffrax's progress meter.
         throw: whether to raise if the solve fails; otherwise `result` and `ok` report it.
         max_steps: largest number of steps.
@@ -119,6 +122,7 @@ def simulate(
         >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
         (5, 1)
     """
+    dynamics = with_contact("simulate", model, dynamics, contact)
     state = check_arrays("simulate", model, {"state": state})["state"]
     state = State(state.q, state.v, state.x)  # only dynamics with fixed steps have a memory
     check_moves("simulate", model)

@@ -57,7 +57,7 @@ from rbjax.sensors.joints import (
     Torques,
     Velocities,
 )
-from rbjax.sensors.named import NamedSensor
+from rbjax.sensors.named import ModelSensor, NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
 from rbjax.sensors.rangefinder import Rangefinder
 from rbjax.sensors.sense import sense
@@ -98,6 +98,7 @@ __all__ = [
     "LinearAcceleration",
     "LinearVelocity",
     "Magnetometer",
+    "ModelSensor",
     "NamedSensor",
     "Pose",
     "Position",

@@ -16,9 +16,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.errors import InputError
 from rbjax.forces.acting import element_contexts, tendon_scales
 from rbjax.forces.actuators.actuator import Actuator
+from rbjax.forces.actuators.transmissions import TendonLength
 from rbjax.forces.context import Context
 from rbjax.forces.reach import Reach
 from rbjax.forces.tendons.paths import tendon_reach
@@ -117,6 +117,7 @@ class TendonSensor(FixedSensor):
         return tendon_reach(context, self.tendon)
 
 
+@register("tendonpos", placed=True)
 class TendonPosition(TendonSensor):
     """Measure the length of a tendon."""
 
@@ -126,6 +127,7 @@ class TendonPosition(TendonSensor):
         return reading(context, [self.reach(context).length])
 
 
+@register("tendonvel", placed=True)
 class TendonVelocity(TendonSensor):
     """Measure the rate of the length of a tendon."""
 
@@ -135,24 +137,30 @@ class TendonVelocity(TendonSensor):
         return reading(context, [self.reach(context).speed(context)])
 
 
-class TendonActuatorForce(FixedSensor):
-    """Measure the sum of the forces of the actuators at a tendon.
-
-    actuators: their names or indices; static.
-    """
+@register("tendonactuatorfrc", placed=True)
+class TendonActuatorForce(TendonSensor):
+    """Measure the sum of the forces of the actuators at a tendon."""
 
     of = "N"
-    actuators: tuple[str | int, ...] = eqx.field(static=True)
-
-    def check(self, model: Model) -> None:
-        if not isinstance(self.actuators, tuple):
-            raise InputError(f"TendonActuatorForce: got {self.actuators!r}, expected a tuple")
-        for actuator in self.actuators:
-            model.actuator(actuator)
 
     def __call__(self, context: Context) -> jax.Array:
-        zero: Any = jnp.zeros((), context.q.dtype)
-        return reading(context, [sum((actuator_force(context, a) for a in self.actuators), zero)])
+        own, zero = context.model.tendon(self.tendon), jnp.zeros((), context.q.dtype)
+        found = [force for tendon, _, force in forces_at_tendons(context) if tendon == own]
+        return reading(context, [sum(found, zero)])
+
+
+def forces_at_tendons(context: Context) -> list[tuple[int, Lane, Lane]]:
+    """List the tendon, the gear and the scalar force of each actuator at a tendon."""
+    if context.ctrl is None:
+        return []
+    pairs = context.once(actuator_context, lambda: element_contexts(context.model, context))
+    out = []
+    for element, seen in pairs:
+        if isinstance(element, Actuator) and isinstance(element.transmission, TendonLength):
+            gear = numbers(element.transmission.gear, context.q.dtype)[0]
+            force = element.output(replace(seen, scales=_scales(context)))
+            out.append((context.model.tendon(element.transmission.tendon), gear, force))
+    return out
 
 
 class TendonLimitSensor(TendonSensor):
@@ -176,6 +184,7 @@ class TendonLimitSensor(TendonSensor):
         return reading(context, [out])
 
 
+@register("tendonlimitpos", placed=True)
 class TendonLimitPosition(TendonLimitSensor):
     """Measure the distance of a tendon's length to its limit, less the margin; zero if positive."""
 
@@ -185,6 +194,7 @@ class TendonLimitPosition(TendonLimitSensor):
         return self.nearest(context, lambda distance, _: distance - self.margin(context))
 
 
+@register("tendonlimitvel", placed=True)
 class TendonLimitVelocity(TendonLimitSensor):
     """Measure the rate of the distance of a tendon's length to its limit; zero if it is far."""
 

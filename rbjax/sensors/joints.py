@@ -18,8 +18,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.forces.context import Context
-from rbjax.forces.context import Joint as JointMotion
+from rbjax.forces.context import Context, JointState
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.lanes import Lane, inner, is_literal
 from rbjax.lanes.arrays import select
@@ -284,7 +283,7 @@ class JointLimitForce(JointLimitSensor):
         return reading(context, [jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)])
 
 
-def sum_of(context: Context, joint: JointMotion, k: int) -> Lane:
+def sum_of(context: Context, joint: JointState, k: int) -> Lane:
     """Return the generalized force of all `JointLimits` on dof k of a joint."""
 
     def compute() -> dict[int, Lane]:

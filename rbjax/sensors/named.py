@@ -9,11 +9,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.errors import InputError
+from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.sensors.columns import Columns
+from rbjax.sensors.protocol import register
 
 
 class NamedSensor(Record):
@@ -69,3 +70,39 @@ class NamedSensor(Record):
 
     def unit(self, model: Model) -> str:
         return self.sensor.unit(model)
+
+
+@register("sensor", placed=True)
+class ModelSensor(Record):
+    """Measure what a sensor of the model measures, `model.sensors`, given by its name; static.
+
+    It makes the sensors of a file available by name in recordings and in identification.
+
+    Example:
+        >>> import rbjax as rb
+        >>> imu = rb.sensors.NamedSensor("imu", rb.sensors.Gyro("tool"))
+        >>> arm = rb.load("arm7").replace(sensors=(imu,))
+        >>> rb.sysid.Setup.of(arm).with_sensors("sensor:imu").unit("sensor:imu")
+        'rad/s'
+    """
+
+    name: str = eqx.field(static=True)
+
+    def __call__(self, context: Context) -> jax.Array:
+        return self._of(context.model)(context)
+
+    def columns(self, model: Model) -> Columns:
+        return self._of(model).columns(model)
+
+    def names(self, model: Model) -> tuple[str, ...]:
+        """List the names of the values."""
+        return self._of(model).names(model)
+
+    def unit(self, model: Model) -> str:
+        return self._of(model).unit(model)
+
+    def _of(self, model: Model) -> NamedSensor:
+        for sensor in model.sensors:
+            if sensor.name == self.name:
+                return sensor
+        raise UnknownName("sensor of the model", self.name, [x.name for x in model.sensors])

@@ -65,14 +65,23 @@ def test_a_registered_sensor_is_fitted():
         del _KINDS["cosine"]
 
 
+BELT = """<mujoco><worldbody><body><joint name="j"/><geom size="0.1" contype="0" conaffinity="0"/>
+</body></worldbody><tendon><fixed name="belt"><joint joint="j" coef="2"/></fixed></tendon>
+</mujoco>"""
+
+
 @pytest.mark.parametrize("name", [*sensors.kinds()])
 def test_names_are_as_many_as_values(name):
-    model, kind = robot("small").model, sensors.kinds()[name]
+    imu = sensors.NamedSensor("imu", sensors.Gyro("tip"))
+    own = rb.load(BELT) if name.startswith("tendon") else robot("small").model
+    model, kind = own.replace(sensors=(imu,)), sensors.kinds()[name]
     places = {
         "frame": "tip",
         "joint": "ball" if name.startswith("ball") else "hinge",
         "actuator": "servo",
         "body": "hand",
+        "name": "imu",
+        "tendon": "belt",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
     sensor = sensors.sensor_of(name + place)

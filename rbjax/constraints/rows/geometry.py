@@ -142,7 +142,7 @@ def places(
     axis: Any = (0.0, 0.0, 1.0),
     q: jax.Array | None = None,
 ) -> tuple[Place, Place]:
-    """Return the places on two bodies of one frame in the world, for one configuration.
+    """Return the `Place` on each of two bodies that coincides with a given frame of the world.
 
     Args:
         model: the robot.
@@ -150,7 +150,7 @@ def places(
         point: (3,) origin of the frame, m in world axes. None: the origin of a if it is an
             `rb.Frame`, else the origin of the world.
         axis: (3,) z axis of the frame in world axes, of any length.
-        q: (nq,) configuration; None for the model's default state.
+        q: (nq,) configuration at which they coincide; None for the model's default state.
     """
     instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
     q = model.default_state().q if q is None else q

@@ -20,9 +20,10 @@ from rbjax.constraints.rows.geometry import AXES, Z, along, coordinate, distance
 from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.tendons.paths import Segment, geom_frame, segments
+from rbjax.forces.tendons.paths import Segment, segments
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
 from rbjax.lanes import Vec3
+from rbjax.model import Frame
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.links import lane
 from rbjax.model.record import check_fields, floats
@@ -99,7 +100,7 @@ def _segment_row(context: Context, one: Segment) -> Row:
     if one.geom is None:
         return distance(start, end)
     geoms, dtype = context.model.geoms, context.q.dtype
-    geom, kind = geom_frame(context, one.geom.index), geoms.types[one.geom.index]
+    geom, kind = context.frame(Frame(geom=one.geom.index)), geoms.types[one.geom.index]
     radius = lane(table(geoms.size, dtype)[:, 0], one.geom.index)
     side, inside = None, False
     if one.geom.side >= 0:

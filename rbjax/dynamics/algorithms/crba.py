@@ -32,7 +32,7 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
     return joint.transform(link), I_c, I_c(joint.S) + joint.modal.coupling
 
 
-def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
+def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     """Compute M as rows of lanes. Each F is transformed to the root separately."""
 
     def step(x, children):
@@ -74,7 +74,7 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
 
 def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     """Compute the mass matrix M (nv, nv) from the joint motions."""
-    return packed(_listed(d, joints), like) if d.listed else _by_columns(d, joints, like)
+    return packed(mass_matrix_rows(d, joints), like) if d.listed else _by_columns(d, joints, like)
 
 
 @algorithm("q", long=True)

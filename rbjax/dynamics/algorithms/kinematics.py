@@ -77,7 +77,7 @@ ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
-    """Return `ACCELERATION` for a base with the acceleration a, which is -g for gravity g."""
+    """Return the quantity `ACCELERATION` for a base with acceleration a, or -g for gravity g."""
     return ACCELERATION._replace(root=(Vec3.zero(), a))
 
 

@@ -49,7 +49,7 @@ def regressor_factors(
 
 
 def _moved_by(model: Model) -> np.ndarray:
-    """Return the mask (nv, 10 nb) of entries whose link moves the body of the parameter."""
+    """Return the mask (nv, 10 nb) of the regressor: true where the row's dof moves the body."""
     moved = np.stack([ancestor_mask(model.topology, i) for i in model.topology.body_links])
     return np.repeat(moved.T, 10, 1)
 

@@ -66,7 +66,7 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
-    """Return f and xs such that f(slice j of xs) is column j of each `pair_matrix` of `pairs`."""
+    """Return f and arrays xs: f of slice j of xs is column j of each `pair_matrix` of `pairs`."""
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 

@@ -31,7 +31,7 @@ from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Frame, Model, with_constants
 
 #: the arguments that are static: they determine the program
-STATIC = ("body", "site", "integrator", "dynamics", "constraints")
+STATIC = ("body", "site", "integrator", "dynamics", "constraints", "contact")
 #: the number of programs that an algorithm caches for functions of a user (dynamics, integrators)
 PROGRAMS_OF_FUNCTIONS = 64
 

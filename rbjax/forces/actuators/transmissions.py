@@ -34,7 +34,7 @@ class Transmission(Record):
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         """Compute the change of the length over a full turn, if the length is an angle."""
-        raise TypeError(f"the length of {type(self).__name__} is no angle")
+        raise TypeError(f"the length of {type(self).__name__} is not an angle")
 
 
 class JointAxis(Transmission):

@@ -130,7 +130,7 @@ def _shortest(row: Actuator) -> Actuator:
 def _write_unused(draft: Draft, name: str) -> None:
     """Write a disabled actuator for an unused control, so that the indices of controls are kept."""
     if not draft.joints:
-        draft.note("controls that drive nothing, left out for want of a joint", [name])
+        draft.note("unused controls, left out because the model has no joint", [name])
         return
     draft.option.set("actuatorgroupdisable", str(_GROUP_OFF))
     ET.SubElement(

@@ -32,7 +32,7 @@ _CURES = {
     "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
-    "sensors": "rbjax.sysid.Setup.with_sensors adds sensors",
+    "sensors of the kind user": "rbjax.sensors.CustomSensor measures a function",
 }
 
 

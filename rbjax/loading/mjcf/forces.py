@@ -91,8 +91,10 @@ def _limits(m: mujoco.MjModel) -> list[Element]:
 
 
 def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
-    """Compute stiffness, damping and width of the stop of a joint. The width is a tenth of the
-    impedance's width."""
+    """Compute stiffness, damping and width of the stop of a joint.
+
+    The width is a tenth of the width of `solimp`.
+    """
     mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
     width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
     solref, solimp = safe_solref(m, m.jnt_solref[joint]), m.jnt_solimp[joint]

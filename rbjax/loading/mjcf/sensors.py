@@ -162,13 +162,15 @@ def _actuator(m: mujoco.MjModel, i: int) -> tuple[int]:
 
 
 def _tendon(m: mujoco.MjModel, i: int) -> tuple:
-    return (int(m.sensor_objid[i]),)
+    return (_name(m, _OBJECT.TENDON, int(m.sensor_objid[i])),)
 
 
-def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple[tuple[int, ...]]:
+def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple:
     at_tendon = m.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    which = np.flatnonzero(at_tendon & (m.actuator_trnid[:, 0] == m.sensor_objid[i]))
-    return (tuple(_control(m, int(k)) for k in which if not is_off(m, int(k))),)
+    for k in np.flatnonzero(at_tendon & (m.actuator_trnid[:, 0] == m.sensor_objid[i])).tolist():
+        if reason_left_out(m, k):
+            raise NotRead(f"sensors of actuators: {reason_left_out(m, k)}")
+    return _tendon(m, i)
 
 
 def _nothing(m: mujoco.MjModel, i: int) -> tuple[()]:
@@ -219,3 +221,6 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "e_kinetic": (sensors.KineticEnergy, _nothing),
     "clock": (sensors.Clock, _nothing),
 }
+
+#: class of a sensor -> kind of MuJoCo
+CLASSES: dict[Any, str] = {make: kind for kind, (make, _) in _READERS.items()}

@@ -282,7 +282,7 @@ def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, 
 
 
 def _inside(p: Poly) -> list[Fraction]:
-    """Return the roots in the open interval (-1, 1). At its ends z is zero or infinite."""
+    """Return the roots of p in the open interval (-1, 1)."""
     for end in (1, -1):
         while p and value(p, Fraction(end)) == 0:
             p = divide(p, poly([-end, 1]))[0]

@@ -240,7 +240,7 @@ class SimulationError:
         return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def rows_of(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Split rows (runs, rows, ...) into arrays (runs, T, columns, ...), by sensor."""
+        """Split residuals (runs, rows, ...) by sensor into (runs, samples, columns, ...)."""
         found, at = {}, 0
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]

@@ -44,10 +44,17 @@ from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 class Contact(NamedTuple):
     """The contact of a tyre with the ground, in world axes.
 
-    p: the contact point. n, x, y: the normal and the directions along and across the wheel.
-    depth: m. load: N, in newtons. lever: D, m.
-    sliding: velocity along x and y, m/s. mu: traction along x and y.
-    rates: of the tyre state. spin: about the axle, rad/s. roll_speed: of the rim, m/s.
+    Fields:
+        p: the contact point, m.
+        n, x, y: the unit normal, and the unit vectors along and across the wheel in the plane.
+        depth: deflection of the tyre, m.
+        load: normal force, N.
+        lever: distance from the wheel's centre to the plane along the wheel's disc, m.
+        sliding: velocity of the tyre's surface at p along x and y, m/s.
+        mu: force along x and y divided by the load.
+        rates: time derivative of the tyre state.
+        spin: rate of the wheel about its axle, rad/s.
+        roll_speed: speed of the rim, m/s.
     """
 
     p: Vec3

@@ -86,7 +86,7 @@ def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Ar
 def updated_filter(
     filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
 ) -> Filter:
-    """Return the filter after an accepted step."""
+    """Return the filter after an accepted step of length a from the pair `now` to `trial`."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
     enters = ~(must_decrease(filter_, now, slope, a) & armijo)
     at = filter_.used % KEPT

@@ -89,7 +89,7 @@ class IterationValues(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The outcome of an iteration: the accepted trial step and the next state of the search."""
+    """The trial step that an iteration accepts, and the next state of the search."""
 
     search: SearchState  # the state after the iteration
     best: jax.Array  # the index of a trial

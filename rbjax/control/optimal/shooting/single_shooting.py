@@ -354,6 +354,6 @@ def levenberg_marquardt_search(problem: Problem) -> Inner:
             if jax.eval_shape(functools.partial(term, 0.0), knot, ctrl).ndim == 0:
                 raise InputError(
                     f"solve: method 'levenberg_marquardt' needs residuals, and the cost "
-                    f"{cost.term.label} is a number; return a vector, or take 'bfgs'"
+                    f"{cost.term.label} is a scalar; return a vector, or use 'bfgs'"
                 )
     return optimistix_search(True)
