@@ -101,9 +101,9 @@ plt.show()
 # ## A real pendulum
 #
 # Kaheman and others recorded free swings of a pendulum with one, two and three arms, and published
-# the numbers that they fitted (arXiv 2205.06231; the files are MIT-licensed). They lie beside the
-# repository, not in it. Of the stretches for identification every other one is fitted here; all
-# else is left for the verdict.
+# the parameters that they fitted (arXiv 2205.06231; the files are MIT-licensed). The files are in
+# `../shared/data`, outside the repository. Every other stretch for identification is fitted here;
+# all the others are left for validation.
 
 # %%
 places = [p / "shared" / "data" / "multiarm_pendulum" for p in Path.cwd().resolve().parents]
@@ -218,12 +218,12 @@ if DATA:
     names = list(scores)
     for a, b in ((0, 1), (1, 4), (2, 3)):
         print(compare(scores[names[a]], scores[names[b]], effective).summary())
-    print(f"viscosity beside both: {fits[names[4]].values['viscous[0]']:.1e} N m s/rad")
+    print(f"viscosity with both: {fits[names[4]].values['viscous[0]']:.1e} N m s/rad")
 
 # %% [markdown]
-# Coulomb friction and drag explain the swing. Beside both, the viscosity that is found is almost
-# zero, and the error does not fall: it does not earn its place. The published viscosity is what
-# best replaces the two over all amplitudes together.
+# Coulomb friction and drag explain the swing. Fitted together with both, the viscosity is almost
+# zero and does not reduce the error, so the model does not need it. The published viscosity is the
+# best replacement of the two over all amplitudes together.
 #
 # ## Free runs on pieces that no fit saw
 #

@@ -15,9 +15,9 @@
 #
 # The double pendulum of DFKI's RealAIGym has two quasi-direct-drive motors with gears of 6 : 1, and
 # was built in several designs. Its recordings and its identified parameters are public. Here we
-# identify two designs from torques and find what the published model lacks. Each term must earn its
-# place, and the verdict comes from runs that no fit saw. Where the recordings are absent, the
-# notebook says so and does nothing else.
+# identify two designs from torques and find what the published model lacks. Each term must pass a
+# test of significance, and the verdict comes from runs that were not fitted. Without the
+# recordings, the notebook only says so.
 
 # %%
 import itertools
@@ -197,7 +197,7 @@ for design in DESIGNS:
             compared = sysid.statistics.compare(steps[-1], large, samples)
             print("  ", compared.summary(), f"({gain:.1f} %)")
         else:
-            print("  ", f"{name} does not earn its place: the squares do not fall")
+            print("  ", f"{name} is not needed: the squares do not fall")
 
 # %% [markdown]
 # Of the further terms only Stribeck friction passes the test, in one design of the two, and takes
@@ -343,9 +343,10 @@ for design in DESIGNS:
 # %% [markdown]
 # ## What is left
 #
-# Above 4 Hz the fit explains less. If the encoder sees the motor, the link's angle is that of the
-# motor less what the gear gives way, `c tanh(T / 0.3 N m)` with T the torque behind the friction: a
-# play with a soft end. We give this angle to the same equations and look for c of the shoulder.
+# Above 4 Hz the fit explains less. If the encoder measures the motor, the link's angle is the
+# motor's angle less the deflection of the gear, `c tanh(T / 0.3 N m)` with T the torque after
+# friction: a play with a soft end. We put this angle into the same equations and seek c of the
+# shoulder.
 
 # %%
 for design in DESIGNS:
@@ -371,8 +372,8 @@ for design in DESIGNS:
             there = ((tau - tau.mean()) ** 2).sum()
             R2[c, cutoff] = 1 - (np.concatenate(off)[:, 0] ** 2).sum() / there
     for cutoff in (4.0, 8.0):
-        told = ", ".join(f"{1e3 * c:.0f} mrad {x:.3f}" for (c, f), x in R2.items() if f == cutoff)
-        print(f"{design}, R2 of the shoulder below {cutoff:.0f} Hz with a give of {told}")
+        values = ", ".join(f"{1e3 * c:.0f} mrad {x:.3f}" for (c, f), x in R2.items() if f == cutoff)
+        print(f"{design}, R2 of the shoulder below {cutoff:.0f} Hz with c = {values}")
 
 # %% [markdown]
 # About the same 4 mrad suit both designs. They take away a quarter to a third of what is left below

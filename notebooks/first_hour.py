@@ -61,8 +61,8 @@ figure.tight_layout()
 # %% [markdown]
 # ## The energy shows the quality of the steps
 # Nothing dissipates energy here, so its change is the integrator's error. With steps of 2 ms, in
-# this violent motion, the error of RK4 is below a millionth. That of semi-implicit Euler, of first
-# order, is a tenth.
+# this violent motion, the error of RK4 is below a millionth. The error of semi-implicit Euler, a
+# method of first order, is a tenth.
 
 # %%
 energy = jax.jit(

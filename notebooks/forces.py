@@ -31,8 +31,8 @@ start = robot.keyframe("horizontal")
 # %% [markdown]
 # ## An element in a few lines
 #
-# Its fields are numbers of the model. `loads(now)` returns its forces at an instant. Here a fan
-# blows at the pendulum's bob, with a drag that grows with the square of the relative speed.
+# Its fields are parameters of the model. `loads(context)` returns its forces at an instant. Here a
+# fan blows at the pendulum's bob, with a drag that grows with the square of the relative speed.
 
 
 # %%

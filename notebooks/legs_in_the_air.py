@@ -19,7 +19,7 @@
 # on the bounds of what is possible, so it lacks something. Here is how to see what.
 #
 # The recording is of the *sim2real-robot-identification* project of the DLS lab of IIT (BSD-3).
-# It lies beside the repository. Where it does not, this notebook says so, and does no more.
+# It is in `../shared/data`, outside the repository. Without it this notebook only says so.
 
 # %%
 import warnings
@@ -120,9 +120,9 @@ if DATA is not None:
 #
 # ## What is missing
 #
-# The commands and the angles give the torque of each servo. What remains of it after gravity,
-# inertia and the servo's own damping is friction. Over the angle it shows: it holds back in both
-# directions, and how much depends on where the joint is. In the calf of the rear left leg, whose
+# The commands and the angles give the torque of each servo. This torque less gravity, inertia and
+# the servo's own damping is friction. The plot over the angle shows it: it opposes the motion in
+# both directions, by an amount that depends on the angle. In the calf of the rear left leg, whose
 # motor drives it through a linkage, it doubles as the knee closes. The other joints have ripples of
 # 0.1 to 0.3 N m. Every swing repeats them at the same angles.
 
@@ -214,9 +214,9 @@ if DATA is not None:
     print({name: round(mrad(x.residual), 2) for name, x in tested.items()}, "mrad RMS")
 
 # %% [markdown]
-# What is left grows with the speed, and is largest in the calves at the end: the slow half shows
-# friction at 1 rad/s, the fast one goes to 4. The verdict above says so: the error is several
-# times that of the fit. A recording to be fitted should have had fast motions, too.
+# The error that is left grows with the speed, and is largest in the calves at the end: the slow
+# half shows friction at 1 rad/s, the fast half reaches 4 rad/s. The verdict above says so: the
+# error is several times the error of the fit. A recording for a fit needs fast motions, too.
 #
 # The curves that were found: what rubs in the four calves, at each angle.
 

@@ -32,8 +32,8 @@ jax.config.update("jax_enable_x64", True)
 #
 # In the bundled scene `four_bar` two rods stand on a beam, 1 m apart. A third one, the coupler,
 # hangs on the tip of the left rod. A `<connect>` at its end closes the loop. Here the loop is taken
-# off and closed again by hand, with a ball joint. The loop is planar, so one of the three rows of
-# the joint says nothing: redundant rows need no care.
+# off and closed again explicitly, with a ball joint. The loop is planar, so one of the three rows
+# of the joint is redundant. Redundant rows need no special treatment.
 
 # %%
 tree = rb.load("four_bar").replace(constraints=())

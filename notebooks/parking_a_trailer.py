@@ -108,7 +108,7 @@ print("least clearance of car and trailer [m]:", np.round(least_clearance(path),
 # ## The way in
 #
 # The same states backwards in time, with the opposite wheel speeds and rates of steering. The
-# reference is for the robot with inertia, whose one free velocity is that of the car.
+# reference is for the robot with inertia, whose one free velocity is the car's speed.
 # `tracking_gains` linearises every step of it and solves the Riccati recursion.
 
 # %%

@@ -74,7 +74,7 @@ def round_speed(model, state):
 #
 # A cost is a function of the state, so the same costs serve both fidelities. Fast: the round speed
 # should be 25 m/s, which it never is. On the track: the part of the offset beyond 3 m costs. The
-# bounds are those of motor and steering. With steps of 0.05 s slip is stiff, so
+# bounds are the limits of motor and steering. With steps of 0.05 s slip is stiff, so
 # `linearly_implicit_euler` takes it at the end of each step.
 
 # %%

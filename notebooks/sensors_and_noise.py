@@ -235,11 +235,11 @@ axes[0].legend()
 plt.show()
 
 # %% [markdown]
-# The intervals of the simulation error miss the truth (black) in most recordings. Those of the
-# prediction error are wider, and hold it about as often as they say. The strength of the gusts is
-# found beside them.
+# The intervals of the simulation error miss the truth (black) in most recordings. The intervals of
+# the prediction error are wider, and contain it about as often as they should. The same fit finds
+# the strength of the gusts.
 #
-# The smoother says how the pendulum moved, and how fast, which no sensor read.
+# The smoother estimates how the pendulum moved, and how fast, which no sensor measured.
 
 # %%
 interval = predicted[-1].estimates.interval("torque noise[hinge]")
@@ -261,11 +261,11 @@ for x, label, color in ((residual, "simulation", ORANGE), (white, "one-step pred
     r = [float((x[: len(x) - k] * x[k:]).mean() / (x * x).mean()) for k in lags]
     axes[1].plot(lags * STEP, r, "o-", ms=3, lw=1, color=color, label=label)
 axes[1].axhline(0, color=INK, lw=0.8)
-axes[1].set(title="autocorrelation of what remains", xlabel="lag, s")
+axes[1].set(title="autocorrelation of the residual", xlabel="lag, s")
 axes[1].legend()
 plt.show()
 
 # %% [markdown]
 # Errors of the simulation are alike for some tenths of a second: they are a motion that the model
-# does not have. Those of the one-step prediction are white, as noise should be.
+# does not have. Errors of the one-step prediction are white, as noise should be.
 # `sysid.statistics.whiteness` says the same as a test.

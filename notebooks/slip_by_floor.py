@@ -19,8 +19,9 @@
 # wheels carry unequal loads, and rollers resist. What must be known of a floor to tell by the
 # wheels where the robot is?
 #
-# The recordings (github.com/BrOleg5/research-wheel-slippage, Apache-2.0) lie beside the repository,
-# in `../shared/data/robotino_omni_slip`. Without them this notebook only says so.
+# The recordings (github.com/BrOleg5/research-wheel-slippage, Apache-2.0) are in
+# `../shared/data/robotino_omni_slip`, outside the repository. Without them this notebook only says
+# so.
 
 # %%
 from pathlib import Path
@@ -162,8 +163,8 @@ for floor, some in runs.items():
 # %% [markdown]
 # ## The verdict, on headings that were not fitted
 #
-# The error is 1 - camera / wheels, in %: its mean over headings, and the mean size of that of one
-# run. The mean is a mild judge, which one radius would pass too. On table, brown and gray single
+# The error is 1 - camera / wheels, in %: its mean over headings, and the mean absolute error of one
+# run. The mean is a mild test, which one radius would pass too. On table, brown and gray single
 # runs are right within 1 %. The green carpet does not repeat itself: runs differ from the mean of
 # their two neighbours by about 3 %, which no smooth model explains.
 

@@ -49,8 +49,8 @@ print(swing.summary(), "after", int(swing.iterations), "iterations, cost", float
 # %% [markdown]
 # ## Every method
 # The registry says what there is. Of the schemes of collocation, which differ in their order, one
-# is shown. Seconds are those of the first call, compiling included, and of one more. The angle, in
-# rad, is what is left to upright: a method has swung the pole up where it is small. Compiling
+# is shown. Seconds are of the first call, compiling included, and of one more. The angle, in rad,
+# is the distance from upright: a method has swung the pole up where it is small. Compiling
 # takes seconds, solving far less: other weights, bounds and starts compile nothing.
 
 # %%

@@ -244,11 +244,11 @@ plt.show()
 # %% [markdown]
 # ## The torque-free top: the polhode
 # In the body's own axes the angular velocity stays on two surfaces: the ellipsoid of its energy,
-# and that of its angular momentum (a sphere in momentum coordinates). Their intersection is the
-# polhode. About the axes of the smallest and the largest moment the polhodes are closed loops. The
-# separatrix (black) goes through the intermediate axis, and any motion that starts near it must
-# travel to the other side. Each loop is integrated over its closed-form period 4 K(k^2) / lambda
-# (Landau and Lifshitz, 37), in 300 steps. The closed loops confirm both.
+# and the ellipsoid of its angular momentum (a sphere in momentum coordinates). Their intersection
+# is the polhode. About the axes of the smallest and the largest moment the polhodes are closed
+# loops. The separatrix (black) goes through the intermediate axis, and any motion that starts near
+# it must travel to the other side. Each loop is integrated over its closed-form period
+# 4 K(k^2) / lambda (Landau and Lifshitz, 37), in 300 steps. The closed loops confirm both.
 
 # %%
 least, middle, most = np.argsort(inertia)

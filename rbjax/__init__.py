@@ -65,13 +65,14 @@ if TYPE_CHECKING:
     )
     from rbjax import loading as loading
     from rbjax import motion as motion
-    from rbjax.forces import applied_forces
+    from rbjax.forces import applied_forces, tendon_jacobian, tendon_lengths
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
     from rbjax.motion.step import acceleration, step
     from rbjax.motion.trajectory import Trajectory
+    from rbjax.sensors import sense
 
 __version__ = "0.1.0"
 
@@ -92,8 +93,11 @@ _MODULES = {
     "load": "loading",
     "rollout": "motion.rollout",
     "scenes": "loading",
+    "sense": "sensors",
     "simulate": "motion.simulate",
     "step": "motion.step",
+    "tendon_jacobian": "forces",
+    "tendon_lengths": "forces",
     "write_back": "loading",
     "write_mjcf": "loading",
 }
@@ -181,6 +185,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sense",
     "sensors",
     "simulate",
     "solvers",
@@ -188,6 +193,8 @@ __all__ = [
     "stability",
     "step",
     "sysid",
+    "tendon_jacobian",
+    "tendon_lengths",
     "threads",
     "validation",
     "wheeled",

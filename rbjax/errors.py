@@ -64,7 +64,10 @@ class UnknownName(RbjaxError, KeyError):
         text = [str(n) for n in known]
         near = difflib.get_close_matches(str(name)[:80], text, 1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        lists = (f"the {word} names here are: {_nearest(x, name)}" for word, x in groups.items())
+        lists = (
+            f"known {'' if apart is None else word + ' '}names: {_nearest(x, name)}"
+            for word, x in groups.items()
+        )
         self.message = f"unknown {kind} {shown}; {'; '.join(lists)}{hint}"
         super().__init__(self.message)
 

@@ -70,6 +70,21 @@ SMALL = """
 </mujoco>
 """
 
+#: `small` with a tendon over joints, and one that wraps around a sphere and a cylinder
+TENDONS = SMALL.replace(
+    "<worldbody>",
+    """<worldbody><site name="anchor" pos="0.9 0.4 0.9"/>
+    <geom name="ball" size="0.15" pos="0.5 0.2 0.7" contype="0" conaffinity="0"/>
+    <geom name="drum" type="cylinder" size="0.2 1" pos="0.7 0.3 0.8" contype="0" conaffinity="0"/>
+    <site name="side" pos="1 0.1 0.8"/>""",
+).replace(
+    "<actuator>",
+    """<tendon><fixed name="belt"><joint joint="slide" coef="2"/><joint joint="hinge" coef="-0.5"/>
+    </fixed><spatial name="rope" stiffness="3" damping="0.1"><site site="tip"/><geom geom="ball"/>
+    <site site="anchor"/><pulley divisor="2"/><site site="tip"/>
+    <geom geom="drum" sidesite="side"/><site site="anchor"/></spatial></tendon><actuator>""",
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:
@@ -91,7 +106,7 @@ class Robot:
 def load_quietly(source: Any, **options: Any) -> rb.Model:
     """`rb.load` without warnings about features left out."""
     with warnings.catch_warnings():
-        known = ".*(left out of the model|move no mass|no passive joint has)"
+        known = ".*(left out of the model|move no mass|no passive joint can have)"
         warnings.filterwarnings("ignore", message=known)
         return rb.load(source, **options)
 
@@ -103,6 +118,8 @@ def _load(name: str) -> Robot:
         compiled = mujoco.MjModel.from_xml_string(random_tree(int(dry.removeprefix("tree:"))))
     elif dry == "small":
         compiled = compile_model(SMALL)
+    elif dry == "tendons":
+        compiled = compile_model(TENDONS)
     elif dry in MODELS:
         with warnings.catch_warnings():  # MuJoCo's about old files
             warnings.simplefilter("ignore")

@@ -65,10 +65,10 @@ def test_kinds_and_arrays():
 def test_unknown_names_of_two_kinds_are_listed_apart():
     many = [f"body_{k}" for k in range(50)]
     text = str(rb.UnknownName("body or site", "imo", apart={"body": many, "site": ["imu"]}))
-    assert "the body names here are: " in text and "the site names here are: 'imu'" in text
+    assert "known body names: " in text and "known site names: 'imu'" in text
     assert "and 30 more" in text and "did you mean 'imu'?" in text
     text = str(rb.UnknownName("joint", "a", []))
-    assert text == "unknown joint 'a'; the joint names here are: (there are none)"
+    assert text == "unknown joint 'a'; known names: (there are none)"
 
 
 def test_what_is_shown():

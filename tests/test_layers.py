@@ -31,16 +31,16 @@ FLOORS = {
     "forces": "dynamics",
     "constraints": "forces",
     "contact": "forces",
-    "loading": "constraints contact",
     "solvers": "rotations",
-    "motion": "solvers loading",
+    "motion": "solvers constraints contact",
     "estimation": "motion",
     "sensors": "motion",
+    "loading": "sensors",  # a file has sensors, which read accelerations
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys(
     "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
-    "estimation sensors",
+    "estimation loading",
 )
 FLOORS |= {"control": "kinematics"}
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}

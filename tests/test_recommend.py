@@ -108,7 +108,7 @@ def test_a_long_conservative_motion_is_decided_by_the_horizon() -> None:
     r = rb.recommend.solver(model, state, 1e-4, horizon=1000.0)
     assert r.name == "yoshida4"
     assert r.reason.startswith("the horizon decides: over 1000 s")
-    assert "grows with t, that of rk4 with t^2" in r.reason
+    assert "grows with t, the error of rk4 with t^2" in r.reason
     ts = np.array([0.0, 999.0, 1000.0])
     path = rb.simulate(model, state, ts, solver=r.solver, dt=r.dt, max_steps=10**7)
     slope = float(stability.state_matrix(model, model.default_state())[1, 0])

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax import sensors
 from tests.composing import STEP, check_axes, check_composes
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
@@ -31,6 +32,7 @@ ELSEWHERE = {
     "rollout",
     "scenes",
     "simulate",
+    "tendon_reach",
     "threads",
     "write_back",
     "write_mjcf",
@@ -58,6 +60,12 @@ def _step(model, q, v, ctrl):
 
 def _acceleration(model, q, v, ctrl):
     return rb.acceleration(model, rb.State(q, v), ctrl)
+
+
+def _sense(model, q, v, ctrl):
+    kinds = (sensors.Accelerometer("tip"), sensors.ForceSensor("hand"), sensors.Attitude("tip"))
+    model = model.replace(sensors=tuple(sensors.NamedSensor(f"{x}", x) for x in kinds))
+    return rb.sense(model, rb.State(q, v), ctrl)
 
 
 def _linearise(model, q, v, ctrl):
@@ -109,7 +117,10 @@ REGISTRY = {
     "lagrange_coefficients": Entry(rb.lagrange_coefficients, ("q",), robot="cart_pole"),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
+    "sense": Entry(_sense, ("q", "v", "ctrl")),
     "step": Entry(_step, ("q", "v", "ctrl")),
+    "tendon_jacobian": Entry(rb.tendon_jacobian, ("q",), robot="tendons"),
+    "tendon_lengths": Entry(rb.tendon_lengths, ("q",), robot="tendons"),
 }
 
 MODEL = robot("small", "rolled").model

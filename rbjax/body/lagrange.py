@@ -162,5 +162,5 @@ def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
     """Check that an argument is an array with the shape of q."""
     x = coordinate_vector(where, name, value)
     if x.shape != q.shape:
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected the shape of q, {q.shape}")
     return x

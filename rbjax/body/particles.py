@@ -80,7 +80,7 @@ def constrained_acceleration(
 def constraint_error(
     constraint: Constraint, t: Any, x: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute phi and its rate (m,), the errors of a state in the constraints."""
+    """Compute the residual phi(t, x) (m,) of the constraints, and its time derivative (m,)."""
     t = jnp.asarray(t, x.dtype)
     return jax.jvp(constraint, (t, x), (jnp.ones_like(t), v))
 

@@ -90,7 +90,7 @@ def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
 
 
 def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
-    """Compute the velocity (3,) in A of a point at r in B with the velocity rd in B."""
+    """Compute the velocity (3,) in A of a point with position r and velocity rd in B's axes."""
     r, rd = _vectors("velocity", frame, r=r, rd=rd)
     return frame.v + jnp.cross(frame.omega, matvec(frame.R, r)) + matvec(frame.R, rd)
 
@@ -98,7 +98,10 @@ def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
 def acceleration_terms(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 ) -> AccelerationTerms:
-    """Compute the terms of the acceleration in A of a point with r, rd and rdd in B."""
+    """Compute the terms of the acceleration in A of a point that moves in B.
+
+    r, rd, rdd: (3,) position, velocity and acceleration of the point in B, in B's axes.
+    """
     given = _vectors("acceleration_terms", frame, r=r, rd=rd, rdd=rdd)
     r, rd, rdd = (matvec(frame.R, x) for x in given)
     w = frame.omega
@@ -112,7 +115,9 @@ def acceleration_terms(
 
 
 def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array) -> jax.Array:
-    """Compute the acceleration (3,) in A of a point with r, rd and rdd in B.
+    """Compute the acceleration (3,) in A of a point that moves in B.
+
+    r, rd, rdd: (3,) position, velocity and acceleration of the point in B, in B's axes.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> acceleration(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], jnp.zeros(3)).tolist()
@@ -123,7 +128,11 @@ def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 
 
 def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> ApparentForces:
-    """Compute the forces on a unit mass with r and rd in B, in B's axes: r'' = f/m + their sum.
+    """Compute the apparent forces on a unit mass that moves in B, in B's axes.
+
+    The relative acceleration is r'' = f / m + their sum, under a force f on a mass m.
+
+    r, rd: (3,) position and velocity of the mass in B, in B's axes.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> forces = apparent_forces(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0])
@@ -138,7 +147,10 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
 def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
-    """Compute the acceleration r'' (3,) in B of a point with the acceleration a (3,) in A."""
+    """Compute the acceleration r'' (3,) in B of a point with the acceleration a (3,) in A.
+
+    r, rd: (3,) position and velocity of the point in B, in B's axes.
+    """
     (a,) = _vectors("relative_acceleration", frame, a=a)
     a = matvec(frame.R.T, a)
     return sum(apparent_forces(frame, r, rd), start=a)

@@ -23,7 +23,7 @@ from rbjax.forces.context import Context, Frame
 from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes.arrays import pack
-from rbjax.model import Model, State
+from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force, Transform
 
 
@@ -139,30 +139,79 @@ def joint_wrenches(
                 f"joint_wrenches: the model has a {type(joint).__name__}, expected joints "
                 "between two frames only; `multipliers` takes any constraint"
             )
-        B = _End(context, joint.b.frame(context))
-        wrench = Force.zero()
-        for row in joint.between_frames(joint.a.frame(context), B, context):
-            wrench = wrench + wrenches_by_link(row.gradient).get(END, Force.zero()) * l[at]
-            at += 1
+        _, (B, wrench) = _wrenches_of_pair(context, joint, l[at : at + joint.size])
         out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
+        at += joint.size
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
 
 
-END = -2  # index that a recording frame uses instead of a link; WORLD is -1
+def body_reactions(context: Context, tau: Any, f_ext: Any) -> dict[int, Force]:
+    """Return the sums of the constraint forces on bodies, in world axes at the body's origin.
+
+    tau, f_ext: all applied forces. A force that a constraint exerts on a link, and not on the ends
+    of a `Pair`, is given to the body that carries the link's joint.
+    """
+    model, top = context.model, context.model.topology
+    l = _motion(model, context.t, context.state, tau, f_ext)[1]
+    out: dict[int, Force] = {}
+    at = 0
+
+    def put(body: int, frame: Frame, wrench: Force) -> None:
+        if body == WORLD:
+            return
+        force, torque = frame.rotation @ wrench.lin, frame.rotation @ wrench.ang
+        arm = frame.position - context.body(body).position
+        moved = Force(torque + arm.cross(force), force)
+        out[body] = out[body] + moved if body in out else moved
+
+    for constraint in model.constraints:
+        joint = constraint.of if isinstance(constraint, Soft) else constraint
+        if isinstance(joint, Pair):
+            ends = _wrenches_of_pair(context, joint, l[at : at + joint.size])
+            for place, (frame, wrench) in zip((joint.a, joint.b), ends, strict=True):
+                put(_body_of(model, place), frame, wrench)
+        else:
+            for k, row in enumerate(constraint.rows(context)):
+                for link, wrench in wrenches_by_link(row.gradient).items():
+                    carrier = top.carriers[top.body_links.index(link)]
+                    put(carrier, context.link(link), wrench * l[at + k])
+        at += constraint.size
+    return out
+
+
+def _body_of(model: Model, place: Any) -> int:
+    if place.site is not None:
+        return model.topology.site_bodies[model.site(place.site)]
+    return WORLD if place.body in (None, WORLD) else model.body(place.body)
+
+
+def _wrenches_of_pair(context: Context, joint: Pair, l: jax.Array) -> list[tuple[Frame, Force]]:
+    """Return the frames a and b of a pair, and the wrench on each at its origin and in its axes."""
+    places = ((joint.a, START), (joint.b, END))
+    ends = [_End(context, place.frame(context), index) for place, index in places]
+    wrenches = [Force.zero(), Force.zero()]
+    for k, row in enumerate(joint.between_frames(*ends, context)):
+        found = wrenches_by_link(row.gradient)
+        for i, end in enumerate((START, END)):
+            wrenches[i] = wrenches[i] + found.get(end, Force.zero()) * l[k]
+    return list(zip(ends, wrenches, strict=True))
+
+
+START, END = -3, -2  # indices that recording frames use instead of a link; WORLD is -1
 
 
 class _End(Frame):
     """A frame that records the wrenches on it, in its own axes and at its origin. It keeps them
     apart from wrenches on its link, which may be the world or carry both frames."""
 
-    def __init__(self, context: Context, frame: Frame, *moved: Transform):
+    def __init__(self, context: Context, frame: Frame, index: int, *moved: Transform):
         super().__init__(context.links, frame.link, *frame._placed, *moved)
-        self._now, self._frame, self._moved = context, frame, moved
+        self._now, self._frame, self._index, self._moved = context, frame, index, moved
 
     def then(self, placed: Transform) -> Frame:
-        return _End(self._now, self._frame, *self._moved, placed)
+        return _End(self._now, self._frame, self._index, *self._moved, placed)
 
     def push_own(self, wrench: Force) -> Loads:
         for X in reversed(self._moved):
             wrench = X.T(wrench)
-        return Loads({}, {END: wrench})
+        return Loads({}, {self._index: wrench})

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 from rbjax.arguments import real_number, shown
 from rbjax.compiler import threads
 from rbjax.compiling import jitted
-from rbjax.contact.narrow_phase import COUNTS, PAIRS, Pair
+from rbjax.contact.candidates import PairKind, candidates, pair_contacts
+from rbjax.contact.narrow_phase import KINDS, PAIRS
+from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.shapes import Shape, contact_frame
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array, check_model
@@ -92,7 +94,8 @@ def detect(
         reach = real_number("detect", "reach", reach, finite=False, traced=True)
         reach = jnp.asarray(reach, q.dtype)
     distance, position, frame, exists = _program()(model, q, reach, chosen)
-    return Contacts(distance, position, frame, exists, _geoms_of_candidates(geoms, chosen))
+    of_candidates = tuple(chosen[candidate.pair] for candidate in candidates(geoms, chosen))
+    return Contacts(distance, position, frame, exists, of_candidates)
 
 
 def _geoms(model: Model) -> Geoms:
@@ -127,26 +130,30 @@ def _candidates(
 ) -> tuple:
     """Return the results of `_detect`, as a function of one sample."""
     geoms, shapes = _geoms(model), _shapes(model, q)
-    margin = jnp.asarray(geoms.margin + geoms.gap, q.dtype)
-    found: dict[tuple[int, int], tuple] = {}
-    for kinds, members in _by_kind(geoms, pairs).items():
-        one, other = (jnp.asarray([pair[k] for pair in members]) for k in (0, 1))
-        far = margin[one] + margin[other] if reach is None else reach
+    found: dict[int, tuple] = {}
+    if reach is None:
+        parameters = pair_parameters(geoms, pairs)
+        reach = jnp.asarray(parameters.margin + parameters.gap, q.dtype)
+    reaches = jnp.broadcast_to(reach, (len(pairs),))
+    for kind, members in _by_kind(geoms, pairs).items():
+        one, other = (jnp.asarray([pairs[i][k] for i in members]) for k in (0, 1))
         a, b = (jax.tree.map(lambda x, i=i: x[i], shapes) for i in (one, other))
-        columns = jax.vmap(functools.partial(_columns, PAIRS[kinds]))(
-            a, b, jnp.broadcast_to(far, (len(members),))
+        columns = jax.vmap(functools.partial(_columns, kind, geoms.heights))(
+            a, b, reaches[jnp.asarray(members)]
         )
         found |= {pair: tuple(x[i] for x in columns) for i, pair in enumerate(members)}
-    rows = [found[pair] for pair in pairs]
+    rows = [found[i] for i in range(len(pairs))]
     if not rows:
         zeros = functools.partial(jnp.zeros, dtype=q.dtype)
         return zeros((0,)), zeros((0, 3)), zeros((0, 3, 3)), jnp.zeros((0,), bool)
     return tuple(jnp.concatenate(x) for x in zip(*rows, strict=True))
 
 
-def _columns(pair: Pair, one: Shape, other: Shape, reach: jax.Array) -> tuple:
+def _columns(
+    kind: PairKind, heights: Sequence[jax.Array], one: Shape, other: Shape, reach: jax.Array
+) -> tuple:
     """Return distance, position, frame and existence of the candidates of one pair."""
-    contacts = pair(one, other, reach)
+    contacts = pair_contacts(kind, one, other, reach, heights)
     distance, exists = (
         jnp.stack([jnp.asarray(x) for x in column])
         for column in ([c.distance for c in contacts], [c.exists for c in contacts])
@@ -164,17 +171,8 @@ def _stacked(vectors: Sequence[Vec3], dtype: Any) -> Vec3:
     return Vec3(*(jnp.stack([jnp.asarray(v[i], dtype) for v in vectors]) for i in range(3)))
 
 
-def _geoms_of_candidates(
-    geoms: Geoms, pairs: Sequence[tuple[int, int]]
-) -> tuple[tuple[int, int], ...]:
-    """Return the two geoms of each candidate."""
-    kinds = [(geoms.types[a], geoms.types[b]) for a, b in pairs]
-    return tuple(pair for pair, kind in zip(pairs, kinds, strict=True) for _ in range(COUNTS[kind]))
-
-
 def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
     """Return pairs of indices of geoms, the geom of the earlier kind first."""
-    order = list(dict.fromkeys(kind for pair in PAIRS for kind in pair))
     if not isinstance(pairs, list | tuple):
         raise InputError(f"detect: pairs is {shown(pairs)}, expected a sequence of two geoms each")
     out = []
@@ -182,7 +180,7 @@ def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
         if not isinstance(pair, list | tuple) or len(pair) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two geoms")
         kinds = {model.geom(x): _geoms(model).types[model.geom(x)] for x in pair}
-        rank = {i: order.index(k) if k in order else len(order) for i, k in kinds.items()}
+        rank = {i: KINDS.index(k) if k in KINDS else len(KINDS) for i, k in kinds.items()}
         if len(rank) != 2:
             raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two different geoms")
         first, second = sorted(rank, key=lambda i: (rank[i], i))
@@ -192,8 +190,8 @@ def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
 
 def _check_kinds(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> None:
     """Raise UnsupportedFeature if a pair has no closed form."""
-    kinds = dict.fromkeys((geoms.types[a], geoms.types[b]) for a, b in pairs)
-    missing = [f"{a} and {b}" for a, b in kinds if (a, b) not in PAIRS]
+    kinds = dict.fromkeys(PairKind.of(geoms, pair) for pair in pairs)
+    missing = [f"{kind.one} and {kind.other}" for kind in kinds if not kind.supported]
     if missing:
         known = ", ".join(f"{a} and {b}" for a, b in PAIRS)
         raise UnsupportedFeature(
@@ -202,11 +200,11 @@ def _check_kinds(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> None:
         )
 
 
-def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[tuple[str, str], list]:
-    """Return the pairs of each two kinds."""
-    out: dict[tuple[str, str], list] = {}
-    for a, b in pairs:
-        out.setdefault((geoms.types[a], geoms.types[b]), []).append((a, b))
+def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[PairKind, list[int]]:
+    """Return the indices of the pairs of each kind."""
+    out: dict[PairKind, list[int]] = {}
+    for i, pair in enumerate(pairs):
+        out.setdefault(PairKind.of(geoms, pair), []).append(i)
     return out
 
 

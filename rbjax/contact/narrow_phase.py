@@ -19,6 +19,8 @@ import jax.numpy as jnp
 
 from rbjax.contact.box_box import box_box
 from rbjax.contact.capsule_box import capsule_box, sphere_box
+from rbjax.contact.height_field import field_box, field_capsule, field_sphere
+from rbjax.contact.plane_mesh import plane_mesh
 from rbjax.contact.shapes import PARALLEL, TINY, Contact, Shape, times, unit
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
@@ -156,6 +158,10 @@ PAIRS: dict[tuple[str, str], Pair] = {
     ("plane", "ellipsoid"): plane_ellipsoid,
     ("plane", "cylinder"): plane_cylinder,
     ("plane", "box"): plane_box,
+    ("plane", "mesh"): plane_mesh,
+    ("hfield", "sphere"): field_sphere,
+    ("hfield", "capsule"): field_capsule,
+    ("hfield", "box"): field_box,
     ("sphere", "sphere"): sphere_sphere,
     ("sphere", "capsule"): sphere_capsule,
     ("sphere", "cylinder"): sphere_cylinder,
@@ -165,9 +171,13 @@ PAIRS: dict[tuple[str, str], Pair] = {
     ("box", "box"): box_box,
 }
 
+#: the order of the kinds of geoms in a pair
+KINDS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+
 #: candidates of each pair
 COUNTS = dict.fromkeys(PAIRS, 1) | {
-    ("plane", "capsule"): 2, ("plane", "cylinder"): 4, ("plane", "box"): 8,
+    ("plane", "capsule"): 2, ("plane", "cylinder"): 4, ("plane", "box"): 8, ("plane", "mesh"): 4,
+    ("hfield", "capsule"): 2, ("hfield", "box"): 8,
     ("capsule", "capsule"): 2, ("capsule", "box"): 2, ("box", "box"): 8,
 }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -23,11 +23,13 @@ class Shape(NamedTuple):
         R: rotation from the axes of the shape to world axes. Axis z is the axis of a capsule or
             cylinder and the normal of a plane.
         size: as `Geoms.size`, m.
+        surface: the `Hull` of a mesh, or the heights (rows, columns) of a height field, m.
     """
 
     p: Vec3
     R: Mat3
     size: Vec3
+    surface: Any = None
 
     @property
     def axis(self) -> Vec3:

@@ -89,20 +89,20 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     text = (
         f"A seven-joint arm has an unknown payload. From {len(measured)} readings of its joint "
         f"angles over {clock[-1]:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, one fit finds five "
-        "numbers: the mass and the centre of mass of the payload, and the damping of a joint, "
-        "which is larger than in the file. The first reading is noisy, too, so the state at the "
-        "start is sought beside them.",
+        "parameters: the mass and the centre of mass of the payload, and the damping of a joint, "
+        "which is larger than in the file. The first reading is noisy, too, so the fit also "
+        "estimates the initial state.",
         f"The fit evaluated the simulation with its exact derivatives {found.evaluations} times. "
-        f"What remains, {rms:.2f} mrad, is the noise. {found.identifiable.summary()}",
+        f"The RMS residual of {rms:.2f} mrad is the noise. {found.identifiable.summary()}",
     )
     return Section(
         "Identify a robot: mass, centre of mass and damping at once",
         text,
-        (("identify.png", "Left: simulated minus measured, with the file's numbers and after the "
+        (("identify.png", "Left: simulated minus measured, with the file's values and after the "
           "fit. Right: estimates minus truth, in standard errors."),),
-        ("number", "file", "estimate (95 % interval)", "truth", "unit"),
+        ("parameter", "file", "estimate (95 % interval)", "truth", "unit"),
         tuple(rows),
-        note="The measurement was simulated by MuJoCo C with the numbers under 'truth'.",
+        note="The measurement was simulated by MuJoCo C with the values under 'truth'.",
         links=(("identification.html", "The report of the fit"),),
         code=_CODE,
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.arguments import floating_array
 from rbjax.errors import InputError
-from rbjax.model import Model, State
+from rbjax.model import Frame, Model, State
 from rbjax.model.record import FEW
 
 #: argument name -> its shape in terms of the model
@@ -104,7 +104,8 @@ def check_static(where: str, kind: str, value: Any) -> None:
     The kinds are "body", "site", "integrator" and "dynamics". None and strings always pass.
     """
     index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
-    if value is None or isinstance(value, str) or index:
+    frame = kind == "body" and isinstance(value, Frame)
+    if value is None or isinstance(value, str) or index or frame:
         return
     if kind in ("body", "site"):
         raise InputError(

@@ -89,7 +89,7 @@ def kalman_filter(
             finite value. If None, readings is an array (N + 1, m), and its nan entries are missing.
 
     Returns:
-        `KalmanFiltered`. It is nan if S is not positive definite.
+        `KalmanFiltered`, nan if an innovation covariance is not positive definite.
 
     Raises:
         InputError: covariances that are neither matrices nor variances; numbers of samples that do
@@ -118,7 +118,7 @@ def kalman_filter(
     first = jax.tree.map(lambda x: jnp.asarray(x)[0], inputs)
     check_fits("kalman_filter", space, start, P, first, W)
     if arrived is None:
-        expected = "an array (N + 1, m), nan where nothing arrived; for others give arrived"
+        expected = "an array (N + 1, m), nan where nothing arrived; or give `arrived`"
         readings = real("kalman_filter", "readings", readings, expected, finite=False)
         if readings.ndim != 2:
             shape = readings.shape
@@ -299,7 +299,7 @@ def kalman_update(
     P = matrix("covariance", estimate.covariance, where)
     check_fits(where, space, estimate.state, P, None, None)
     if arrived is None:
-        expected = "an array (m,), nan where nothing arrived; for others give arrived"
+        expected = "an array (m,), nan where nothing arrived; or give `arrived`"
         reading = real(where, "reading", reading, expected, finite=False)
         if reading.shape != R.shape[:1]:
             raise InputError(

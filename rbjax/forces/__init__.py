@@ -1,7 +1,7 @@
 """Forces on a robot: springs, dampers, actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
-from rbjax.forces.context import Context, Frame, Joint, on_each
+from rbjax.forces.context import Context, Frame, JointState, on_each
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid import EllipsoidFluid, InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
@@ -10,7 +10,10 @@ from rbjax.forces.joints.friction import GearLoss, JointFriction
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.place import Place
+from rbjax.forces.reach import Reach
 from rbjax.forces.springs import Bushing, PointSpring
+from rbjax.forces.tendons.lengths import tendon_jacobian, tendon_lengths
+from rbjax.forces.tendons.paths import tendon_reach
 
 __all__ = [
     "Place",
@@ -22,14 +25,18 @@ __all__ = [
     "GravityCompensation",
     "InertiaBoxFluid",
     "Context",
-    "Joint",
+    "JointState",
     "JointCurves",
     "JointFriction",
     "JointLimits",
     "JointPolynomials",
     "Loads",
     "PointSpring",
+    "Reach",
     "applied_forces",
     "elastic_energy",
     "on_each",
+    "tendon_jacobian",
+    "tendon_lengths",
+    "tendon_reach",
 ]

@@ -1,7 +1,7 @@
 """The sum of the forces of all elements on a robot.
 
     M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
-The elements of a model are the springs and dampers of its joints, its actuators, and
+The elements of a model are the springs and dampers of its joints and tendons, its actuators, and
 `model.forces`. All motion functions use these sums; no other file depends on a type of element.
 """
 
@@ -18,11 +18,12 @@ from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_l
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.activation import clip
-from rbjax.forces.actuators.actuator import from_columns
+from rbjax.forces.actuators.actuator import Actuator, from_columns
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.joints.polynomials import linear_springs
+from rbjax.forces.tendons.springs import tendon_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
@@ -31,7 +32,8 @@ from rbjax.model.leaves import table
 
 def elements(model: Model) -> tuple[Element, ...]:
     """List all force elements of a model, in the order of their states in x."""
-    return (linear_springs(model), *from_columns(model), *model.forces)
+    springs = (linear_springs(model), *tendon_springs(model))
+    return (*springs, *from_columns(model), *model.forces)
 
 
 def element_contexts(model: Model, context: Context) -> list[tuple[Element, Context]]:
@@ -50,13 +52,15 @@ def element_contexts(model: Model, context: Context) -> list[tuple[Element, Cont
 def loads(model: Model, context: Context) -> tuple[list[Lane], LinkForces]:
     """Sum the generalized forces, one lane per dof, and the forces on links."""
     passive, driven, later = Loads(), Loads(), []
-    for element, seen in element_contexts(model, context):
+    found = element_contexts(model, context)
+    scales = {} if context.ctrl is None else tendon_scales(model, found)
+    for element, seen in found:
         if element.after_actuators:
             later.append((element, seen))
         elif not element.actuates:
             passive = passive + _given(element, seen)
         elif context.ctrl is not None:
-            driven = driven + _given(element, seen)
+            driven = driven + _given(element, replace(seen, scales=scales) if scales else seen)
     driven = _limited(model, driven, context)
     for element, seen in later:
         passive = passive + _given(element, replace(seen, driven=driven.tau))
@@ -69,9 +73,28 @@ def _given(element: Element, seen: Context) -> Loads:
     if not isinstance(found, Loads):
         raise InputError(
             f"{type(element).__name__}.loads returned {type(found).__name__}, expected Loads: "
-            "what Frame.push and Joint.push return, and sums of these"
+            "what Frame.push and JointState.push return, and sums of these"
         )
     return found
+
+
+def tendon_scales(model: Model, found: list[tuple[Element, Context]]) -> dict[int, Lane]:
+    """Compute, by tendon, the factor that brings the sum of its actuator forces into its range."""
+    out: dict[int, Lane] = {}
+    if model.tendons is None:
+        return out
+    sums: dict[int, list[Lane]] = {}
+    limits = table(model.tendons.forcerange, found[0][1].q.dtype)
+    known = isinstance(limits, np.ndarray)
+    for element, seen in found:
+        i = element.tendon if isinstance(element, Actuator) else -1
+        if i >= 0 and not (known and bool(np.isinf(limits[i]).all())):
+            sums.setdefault(i, []).append(element.force(seen))
+    for i, forces in sums.items():
+        force = total(forces)
+        some = force != 0
+        out[i] = jnp.where(some, clip(force, limits, i) / jnp.where(some, force, 1.0), 1.0)
+    return out
 
 
 def _limited(model: Model, driven: Loads, context: Context) -> Loads:
@@ -98,7 +121,7 @@ def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
             own = element.rate(seen) if dt is None else element.advance(seen, dt)
             if len(own) != element.size:
                 name = f"{type(element).__name__}.{'rate' if dt is None else 'advance'}"
-                raise InputError(f"{name} returned {len(own)} numbers, expected {element.size}")
+                raise InputError(f"{name} returned {len(own)} values, expected {element.size}")
             found += list(own)
     return pack(found, context.x)
 

@@ -25,7 +25,8 @@ from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
-from rbjax.model.leaves import site_transform, table
+from rbjax.model import Frame as NamedFrame
+from rbjax.model.leaves import frame_transform, site_transform, table
 from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
@@ -55,6 +56,10 @@ class Context:
     #: generalized forces of the actuators by dof, clipped to the joints' force ranges; only for
     #: elements with `after_actuators`
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: factors, by tendon, of the forces of its actuators, which keep their sum within its range
+    scales: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
+    #: accelerations and forces that sensors read (`rbjax.sensors.Solution`), or None
+    solution: Any = field(default=None, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -114,14 +119,19 @@ class Context:
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
-    def joint(self, joint: str | int) -> Joint:
+    def frame(self, at: NamedFrame) -> Frame:
+        """Return the frame of an `rb.Frame`."""
+        body, placed = frame_transform(self.model, at, self.q.dtype)
+        return self.body(body).then(placed)
+
+    def joint(self, joint: str | int) -> JointState:
         """Return a joint with its coordinates q and v."""
         top = self.model.topology
         j = self.model.joint(joint)
         nq, nv = top.joints[j].nq, top.joints[j].nv
         qs, vs = top.joint_q[j], top.joint_v[j]
         q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
-        return Joint(top.joint_kinds[j], q, v, vs)
+        return JointState(top.joint_kinds[j], q, v, vs)
 
     def dofs(self, joints: Iterable[str | int]) -> list[tuple[int, Lane]]:
         """List the index and the velocity of each dof of joints."""
@@ -160,6 +170,12 @@ class Frame:
         return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
 
     @property
+    def on_link(self) -> Transform:
+        """The pose in the link that carries the frame."""
+        still = Transform(Mat3.identity(), Vec3.zero())
+        return functools.reduce(Transform.then, self._placed, still)
+
+    @property
     def position(self) -> Vec3:
         """The origin of the frame in the world, m."""
         return self.pose.p
@@ -185,7 +201,7 @@ class Frame:
         return self.rotation @ self.twist.ang
 
     @cached_property
-    def _accelerated(self) -> Motion:
+    def own_acceleration(self) -> Motion:
         """The angular and classical linear acceleration at the frame's origin, in frame axes."""
         V, a = self._links.twist(self.link), self._links.acceleration(self.link)
         for X in self._placed:
@@ -197,13 +213,13 @@ class Frame:
     def acceleration(self) -> Vec3:
         """The acceleration of the frame's origin in world axes, m/s^2, without gravity. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.lin
+        return self.rotation @ self.own_acceleration.lin
 
     @cached_property
     def angular_acceleration(self) -> Vec3:
         """The angular acceleration in world axes, rad/s^2. In a force
         element it contains only the velocity terms (v' = 0)."""
-        return self.rotation @ self._accelerated.ang
+        return self.rotation @ self.own_acceleration.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
         """Make loads of a force (3,) N and a torque (3,) N m in world axes.
@@ -252,7 +268,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointState:
     """A joint at an instant: its kind, and its coordinates q and velocities v as lanes."""
 
     kind: str

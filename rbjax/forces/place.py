@@ -14,6 +14,7 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Vec3, quaternion_matrix
 from rbjax.model import WORLD
+from rbjax.model import Frame as FixedFrame
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.record import Record, check_fields
@@ -28,6 +29,8 @@ class Place(Record):
     position: (3,) m in the frame of the body or site.
     orientation: (4,) quaternion in the frame of the body or site.
     body, site: name or index; static.
+
+    Where an axis does not matter, an `rb.Frame` is accepted in place of a `Place`.
 
     Example:
         >>> import rbjax as rb
@@ -97,14 +100,31 @@ def _named_frame(place: Any, context: Context) -> Frame:
     return context.body(WORLD if place.body is None else place.body)
 
 
+def end() -> Any:
+    """Declare an end of an element or a constraint: a `Place`, or an `rb.Frame`."""
+    return eqx.field(converter=_as_place)
+
+
+def _as_place(given: Any) -> Any:
+    """Convert an `rb.Frame` to a place. Return anything else unchanged."""
+    if not isinstance(given, FixedFrame):
+        return given
+    body, point, site = given
+    if (body is None) == (site is None):
+        got = "neither" if body is None else "both"
+        raise InputError(f"Frame: got {got} of body and site, expected exactly one")
+    point = (0.0, 0.0, 0.0) if point is None else point
+    return Place.on(body=None if body == "world" else body, site=site, point=point)
+
+
 def check_places(record: Any) -> None:
     """Raise InputError if the ends a and b of an element or a constraint are not places."""
     for end in ("a", "b"):
         got = getattr(record, end)
         if not isinstance(got, Place):
             raise InputError(
-                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place: "
-                "rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
+                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place or an "
+                "rb.Frame: rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
             )
 
 

@@ -32,7 +32,8 @@ from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.joints.polynomials import polynomial
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.reach import distance
 from rbjax.lanes import Lane, Mat3, Vec3, add, inner, is_literal, is_zero, mul, sub
 from rbjax.model import Model
 from rbjax.model.leaves import numbers
@@ -68,8 +69,8 @@ class PointSpring(Element):
         True
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     stiffness: jax.Array
     damping: jax.Array
     slack: jax.Array
@@ -95,15 +96,15 @@ class PointSpring(Element):
 
     def loads(self, context: Context) -> Loads:
         a, b, dtype = self.a.point(context), self.b.point(context), context.q.dtype
-        k, d = _coefficients(self.stiffness, dtype), _coefficients(self.damping, dtype)
+        k, d = coefficients(self.stiffness, dtype), coefficients(self.damping, dtype)
         springy, damped = (not all(map(is_zero, c)) for c in (k, d))
         if not (springy or damped):
             return Loads()
         line = b.position - a.position
-        length, inverse = _distance(line, dtype)
+        length, inverse = distance(line, dtype)
         scale: Lane = 0.0  # F / l
         if springy:
-            x, x_over_l = self._stretch(length, inverse, dtype)
+            x, x_over_l = stretch(length, inverse, self.slack, dtype)
             scale = mul(add(k[0], polynomial(k[1:], x)), x_over_l)
         if damped:
             rate = mul((b.velocity - a.velocity).dot(line), inverse)
@@ -113,41 +114,35 @@ class PointSpring(Element):
         return a.push(force) + b.push(-force)
 
     def energy(self, context: Context) -> Lane:
-        """Compute the potential energy of the spring, J."""
-        k = _coefficients(self.stiffness, context.q.dtype)
+        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        k = coefficients(self.stiffness, context.q.dtype)
         if all(map(is_zero, k)):
             return 0.0
         line = self.b.point(context).position - self.a.point(context).position
-        x, _ = self._stretch(*_distance(line, context.q.dtype), context.q.dtype)
+        x, _ = stretch(*distance(line, context.q.dtype), self.slack, context.q.dtype)
         shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
         return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
-    def _stretch(self, length: Lane, inverse: Lane, dtype: Any) -> tuple[Lane, Lane]:
-        """Compute the stretch x and the ratio x / l, which is 1 at l = 0 if l_high is 0."""
-        low, high = numbers(self.slack, dtype)
-        x, ratio = sub(length, high), sub(1.0, mul(high, inverse))
-        if is_literal(low) and is_literal(high) and low == high:
-            return x, ratio
-        shorter, short_ratio = sub(length, low), sub(1.0, mul(low, inverse))
-        nothing = jnp.zeros_like(length)
-        x = where(length > high, x, where(length < low, shorter, nothing))
-        return x, where(length > high, ratio, where(length < low, short_ratio, nothing))
+
+def stretch(length: Lane, inverse: Lane, slack: jax.Array, dtype: Any) -> tuple[Lane, Lane]:
+    """Compute the stretch x beyond the slack (2,) and the ratio x / l, from the length and its
+    inverse. The ratio is 1 at l = 0 if l_high is 0."""
+    low, high = numbers(slack, dtype)
+    x, ratio = sub(length, high), sub(1.0, mul(high, inverse))
+    if is_literal(low) and is_literal(high) and low == high:
+        return x, ratio
+    shorter, short_ratio = sub(length, low), sub(1.0, mul(low, inverse))
+    nothing = jnp.zeros_like(length)
+    x = where(length > high, x, where(length < low, shorter, nothing))
+    return x, where(length > high, ratio, where(length < low, short_ratio, nothing))
 
 
-def _coefficients(x: jax.Array, dtype: Any) -> list[Lane]:
+def coefficients(x: jax.Array, dtype: Any) -> list[Lane]:
     """Return the coefficients (n,) of a polynomial without trailing structural zeros."""
     found = numbers(x, dtype)
     while len(found) > 1 and is_zero(found[-1]):
         found.pop()
     return found
-
-
-def _distance(line: Vec3, dtype: Any) -> tuple[Lane, Lane]:
-    """Compute the length of a vector and its inverse; the inverse of 0 is set to 1."""
-    square = jnp.asarray(line.dot(line), dtype)
-    some = square > 0
-    root = jnp.sqrt(where(some, square, jnp.ones_like(square)))
-    return where(some, root, jnp.zeros_like(square)), 1 / root
 
 
 class Bushing(Element):
@@ -174,8 +169,8 @@ class Bushing(Element):
         [-10.0]
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     stiffness: jax.Array
     damping: jax.Array
     unlimited = ()

@@ -10,10 +10,12 @@ from rbjax.joints.joint import (
     DofSpec,
     Joint,
     JointMotion,
+    ModalMotion,
     NodeMotion,
     PosedJoint,
 )
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
+from rbjax.joints.modal import ModalInertia
 from rbjax.joints.node import Node
 from rbjax.joints.registry import kind, kinds, register
 
@@ -24,6 +26,8 @@ __all__ = [
     "DofSpec",
     "Joint",
     "JointMotion",
+    "ModalInertia",
+    "ModalMotion",
     "Node",
     "NodeMotion",
     "PosedJoint",

@@ -80,8 +80,8 @@ class Goal(Record):
             raise InputError("Goal: nothing to reach; give a position, a rotation or a direction")
         if rotation is not None and direction is not None:
             raise InputError(
-                "Goal: got both rotation and direction, expected at most one: a rotation says "
-                "where all axes point"
+                "Goal: got both rotation and direction, expected at most one: a rotation fixes "
+                "the direction of every axis"
             )
         if axis is not None and direction is None:
             raise InputError("Goal: got an axis and no direction for it; give direction=")

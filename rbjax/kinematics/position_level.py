@@ -74,7 +74,7 @@ class InverseKinematics(Record):
             return f"converged: all {met.size}"
         if met.ndim:
             return (
-                f"{int(met.sum())} of {met.size} converged; the worst of the others is "
+                f"{int(met.sum())} of {met.size} converged; the worst result is "
                 f"{np.max(position, where=~met, initial=0.0):.3g} m and "
                 f"{np.max(rotation, where=~met, initial=0.0):.3g} rad from its goal"
             )

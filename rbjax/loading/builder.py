@@ -110,7 +110,7 @@ class ModelBuilder:
             given["range"] = _vector("ModelBuilder.add_joint", "range", range, 2)
         known = ("damping", "stiffness", "springref", "armature", "frictionloss", "ref")
         for key, x in numbers.items():
-            choice("number of a joint", key, known)
+            choice("parameter of a joint", key, known)
             polynomial = key in ("damping", "stiffness")
             given[key] = [x, 0.0, 0.0] if polynomial else x
         joint = self._body(body).add_joint(**given)
@@ -165,7 +165,7 @@ class ModelBuilder:
 
         Args:
             source: a source of `load`, a `Model`, or another builder. Models and URDFs are attached
-                without shapes, and every robot without its floor.
+                without meshes, and every robot without its floor.
             parent: parent body; None for the world.
             prefix: prefix of all names of the robot, which must differ from the existing names.
             position: (3,) m.

@@ -40,9 +40,12 @@ from rbjax.loading.mjcf.contacts import (
     kinds_of,
     mixed_references,
 )
-from rbjax.loading.mjcf.fields import Off, is_on, names_of, reflected
-from rbjax.loading.mjcf.forces import force_elements, inertial_frame
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, reflected
+from rbjax.loading.mjcf.forces import force_elements
+from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
+from rbjax.loading.mjcf.surfaces import surface_fields
+from rbjax.loading.mjcf.tendons import tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -55,8 +58,8 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
 _SHOWN = 8  # names listed before "and N more"
-_MIXED = "solref of mixed signs, in place of which MuJoCo takes (0.02, 1)"
-_ACTIVE = "numbers that no passive joint has, used as the file gives them"
+_MIXED = "solref of mixed signs, replaced by MuJoCo with (0.02, 1)"
+_ACTIVE = "parameters that no passive joint can have, used as in the file"
 
 
 def load(
@@ -231,6 +234,7 @@ def from_compiled(
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         geoms=geoms_of(m, array, closed_pairs(m) if contacts else None),
+        tendons=tendons_of(m, array),
         solver=solver_parameters(m, array),
         contact="mujoco" if contacts else None,
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
@@ -241,6 +245,7 @@ def from_compiled(
         dropped=tuple(dropped),
         forces=(*elastic, *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        sensors=read_sensors(m)[0],
     )
 
 
@@ -269,6 +274,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable, kept: list[int] | None = None) 
         return tuple(x.tolist())
 
     colors = [m.geom_rgba[i] if k < 0 else m.mat_rgba[k] for i, k in enumerate(m.geom_matid)]
+    pairs = pair_fields(m, array, kept)
     return Geoms(
         size=array(m.geom_size),
         position=array(m.geom_pos),
@@ -288,7 +294,8 @@ def geoms_of(m: mujoco.MjModel, array: Callable, kept: list[int] | None = None) 
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
-        **pair_fields(m, array, kept),
+        **pairs,
+        **surface_fields(m, pairs["pairs"], array),
     )
 
 

@@ -6,14 +6,18 @@ from typing import Any, NamedTuple
 
 
 class Frame(NamedTuple):
-    """A frame of a robot: the axes of a body or a site, with the origin at a point of it.
+    """A frame of a robot: the axes of a body, site or geom, with the origin at a point of it.
 
     Functions of a frame, such as `rb.frame_pose` and `rb.jacobian`, accept it in place of `body`.
 
     Args:
         body: the name of a body, or "world" for the fixed frame.
-        point: the origin (3,) in the frame of the body or site, m; zero if None.
+        point: the origin (3,) in the frame of the body, site or geom, m; zero if None.
         site: the name of a site, instead of a body.
+        geom: the name of a geom, instead of a body.
+        center: the name of a body, instead of `body`: the origin is the body's center of mass.
+        orientation: the axes of the frame, a quaternion of four floats in the axes of the body,
+            site or geom; the same axes if None.
 
     Example:
         >>> import rbjax as rb
@@ -24,4 +28,15 @@ class Frame(NamedTuple):
 
     body: Any = None
     point: Any = None
-    site: str | None = None
+    site: Any = None
+    geom: Any = None
+    center: Any = None
+    orientation: Any = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments body, point and site of a function of a frame."""
+        if self.geom is None and self.center is None and self.orientation is None:
+            return {"body": self.body, "point": self.point, "site": self.site}
+        axes = None if self.orientation is None else tuple(map(float, self.orientation))
+        still = self._replace(point=None, orientation=axes)  # hashable, as a static argument is
+        return {"body": still, "point": self.point, "site": None}

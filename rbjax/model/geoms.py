@@ -5,6 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 
+from rbjax.model.hulls import Hull
 from rbjax.model.record import Record
 
 
@@ -16,7 +17,8 @@ class Geoms(Record):
     Fields:
         size: (ng, 3) m. Radius of a sphere; radius and half length of a capsule or cylinder;
             semi-axes of an ellipsoid; half sides of a box; half sides of a plane, 0 if it is
-            infinite; half sides of the bounding box of a mesh.
+            infinite; half sides of the bounding box of a mesh; half sides along x and y of a height
+            field.
         position: (ng, 3) m, in the frame of the body.
         orientation: (ng, 4) quaternion, in the frame of the body.
         friction: (ng, 3) sliding, torsional (m) and rolling (m).
@@ -30,6 +32,7 @@ class Geoms(Record):
             tangents means that they have the reference of the normal.
         pair_solimp: (n, 5) impedance.
         pair_margin, pair_gap: (n,) m, in place of the sums.
+        heights: (rows, columns) m, of each height field. Rows are along y, columns along x.
         names, types: of each geom; a type is a name of MuJoCo, such as "box"; static.
         bodies: the body of each geom, -1 for the world; static.
         contype, conaffinity: bit masks of the pairs that may collide; static.
@@ -38,6 +41,8 @@ class Geoms(Record):
         pairs: the pairs of geoms that may touch by the rules of the file; static. The first n are
             explicit: they have parameters of their own.
         pair_condim: (n) condim of the explicit pairs; static.
+        hulls: the convex hull of each mesh that may touch a plane, else None; static.
+        fields: the index in `heights` of each height field, -1 of other geoms; static.
     """
 
     size: jax.Array
@@ -55,6 +60,7 @@ class Geoms(Record):
     pair_solimp: jax.Array
     pair_margin: jax.Array
     pair_gap: jax.Array
+    heights: tuple[jax.Array, ...]
     names: tuple[str, ...] = eqx.field(static=True)
     types: tuple[str, ...] = eqx.field(static=True)
     bodies: tuple[int, ...] = eqx.field(static=True)
@@ -66,3 +72,5 @@ class Geoms(Record):
     rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     pair_condim: tuple[int, ...] = eqx.field(static=True, default=())
+    hulls: tuple[Hull | None, ...] = eqx.field(static=True, default=())
+    fields: tuple[int, ...] = eqx.field(static=True, default=())

@@ -8,9 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, Vec3, quaternion_matrix
+from rbjax.errors import InputError
+from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix
+from rbjax.model.frame import Frame
 from rbjax.model.links import lane
 from rbjax.model.model import Model
+from rbjax.model.topology import WORLD
 from rbjax.spatial import Transform
 
 
@@ -45,9 +48,50 @@ def numbers(x: jax.Array, dtype: Any) -> list[Lane]:
 
 def site_transform(model: Model, site: int, dtype: Any) -> Transform:
     """Return the pose of a site in the frame of its body."""
-    sites = model.sites
-    position, orientation = (table(x, dtype) for x in (sites.position, sites.orientation))
+    return _row_transform(model.sites.position, model.sites.orientation, site, dtype)
+
+
+def geom_transform(model: Model, geom: int, dtype: Any) -> Transform:
+    """Return the pose of a geom in the frame of its body."""
+    assert model.geoms is not None
+    return _row_transform(model.geoms.position, model.geoms.orientation, geom, dtype)
+
+
+def _row_transform(position: Any, orientation: Any, row: int, dtype: Any) -> Transform:
+    position, orientation = table(position, dtype), table(orientation, dtype)
     return Transform(
-        quaternion_matrix(*(lane(orientation[:, k], site) for k in range(4))),
-        Vec3(*(lane(position[:, k], site) for k in range(3))),
+        quaternion_matrix(*(lane(orientation[:, k], row) for k in range(4))),
+        Vec3(*(lane(position[:, k], row) for k in range(3))),
     )
+
+
+def frame_transform(model: Model, frame: Frame, dtype: Any) -> tuple[int, Transform]:
+    """Return the body of a frame (or WORLD) and the pose of the frame in the body.
+
+    Raises:
+        InputError: not exactly one of body, site, geom and center. UnknownName: no such name.
+    """
+    places = (frame.body, frame.site, frame.geom, frame.center)
+    if sum(x is not None for x in places) != 1:
+        got = "neither" if all(x is None for x in places) else "both"
+        raise InputError(f"got {got} of body and site, expected exactly one")
+    if frame.site is not None:
+        i = model.site(frame.site)
+        body, placed = model.topology.site_bodies[i], site_transform(model, i, dtype)
+    elif frame.geom is not None:
+        i = model.geom(frame.geom)
+        assert model.geoms is not None
+        body, placed = model.geoms.bodies[i], geom_transform(model, i, dtype)
+    elif frame.center is not None:
+        body = model.body(frame.center)
+        com = table(model.bodies.com, dtype)
+        placed = Transform(Mat3.identity(), Vec3(*(lane(com[:, k], body) for k in range(3))))
+    else:
+        fixed = frame.body == "world" and frame.body not in model.body_names  # MuJoCo's name
+        body = WORLD if fixed else model.body(frame.body)
+        placed = Transform(Mat3.identity(), Vec3.zero())
+    at = Vec3.zero() if frame.point is None else Vec3(*(frame.point[i] for i in range(3)))
+    R = placed.R
+    if frame.orientation is not None:
+        R = R @ quaternion_matrix(*map(float, frame.orientation))
+    return body, Transform(R, placed.p + placed.R @ at)

@@ -16,15 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import FLOATS
-from rbjax.errors import InputError, ModelError, UnknownName
+from rbjax.errors import InputError, ModelError
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
-from rbjax.model.record import EXECUTION, Execution, cast_floats
+from rbjax.model.record import EXECUTION, Execution, cast_floats, index_of
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.solver_parameters import SolverParameters
+from rbjax.model.tendons import Tendons
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 
@@ -161,9 +162,10 @@ class Model(Record):
     #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
     geoms: Geoms | None = None  # None if the model is not from a file
+    tendons: Tendons | None = None  # None if the model has no tendons
     solver: SolverParameters | None = None  # as geoms
-    #: the law of contacts, limits and friction loss: "mujoco", or None without contacts
-    contact: str | None = eqx.field(static=True, default=None)
+    contact: str | None = eqx.field(static=True, default=None)  # law: "mujoco", None for none
+    sensors: tuple = ()  # `rbjax.sensors.NamedSensor`, read by `rb.sense`
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -248,13 +250,17 @@ class Model(Record):
     def keyframe_names(self) -> tuple[str, ...]:
         return self.topology.keyframe_names
 
+    @property
+    def tendon_names(self) -> tuple[str, ...]:
+        return () if self.tendons is None else self.tendons.names
+
     def body(self, name: str | int) -> int:
         """Return the index of a body from its name. An index is checked and returned."""
-        return _index("body", name, self.body_names)
+        return index_of("body", name, self.body_names)
 
     def joint(self, name: str | int) -> int:
         """Return the index of a joint from its name. An index is checked and returned."""
-        return _index("joint", name, self.joint_names)
+        return index_of("joint", name, self.joint_names)
 
     def q_slice(self, joint: str) -> slice:
         """Return the slice of a joint's coordinates in q: 7 if free, 4 of a ball, 1 of a hinge.
@@ -275,15 +281,19 @@ class Model(Record):
 
     def actuator(self, name: str | int) -> int:
         """Return the index of an actuator from its name, which is the index of its control."""
-        return _index("actuator", name, self.actuator_names)
+        return index_of("actuator", name, self.actuator_names)
 
     def site(self, name: str | int) -> int:
         """Return the index of a site from its name."""
-        return _index("site", name, self.site_names)
+        return index_of("site", name, self.site_names)
+
+    def tendon(self, name: str | int) -> int:
+        """Return the index of a tendon from its name."""
+        return index_of("tendon", name, self.tendon_names)
 
     def geom(self, name: str | int) -> int:
         """Return the index of a geom from its name."""
-        return _index("geom", name, () if self.geoms is None else self.geoms.names)
+        return index_of("geom", name, () if self.geoms is None else self.geoms.names)
 
     def fix_zeros(self) -> Model:
         """Return a copy in which zeros of bodies, joints and gravity are compile-time constants.
@@ -370,7 +380,7 @@ class Model(Record):
 
     def keyframe(self, name: str) -> State:
         """Return the state of a keyframe of the file."""
-        i = _index("keyframe", name, self.keyframe_names)
+        i = index_of("keyframe", name, self.keyframe_names)
         q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
         if x is not None and own is not None and own.shape[1] <= x.size:
             x = x.at[: own.shape[1]].set(own[i])
@@ -388,12 +398,3 @@ class Model(Record):
 
 def _described(x: Any) -> str:
     return f"the class {x.__name__}" if isinstance(x, type) else type(x).__name__
-
-
-def _index(kind: str, name: str | int, names: tuple[str, ...]) -> int:
-    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
-        if 0 <= name < len(names):
-            return int(name)
-    elif isinstance(name, str) and name in names:
-        return names.index(name)
-    raise UnknownName(kind, name, names)

@@ -136,6 +136,16 @@ def cast_floats(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(cast, tree)
 
 
+def index_of(kind: str, name: str | int, names: tuple[str, ...]) -> int:
+    """Return the index of a name. An index is checked and returned."""
+    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+        if 0 <= name < len(names):
+            return int(name)
+    elif isinstance(name, str) and name in names:
+        return names.index(name)
+    raise UnknownName(kind, name, names)
+
+
 #: the drivers of the recursions; "auto" is resolved by `rbjax.dynamics.drivers.choice`
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 

@@ -185,6 +185,11 @@ class Topology:
         return tuple(out)
 
     @cached_property
+    def flexible(self) -> bool:
+        """True if a link has a modal inertia."""
+        return any(dof.kind.modal for dof in self.dofs)
+
+    @cached_property
     def constant_axes(self) -> bool:
         """True if the axis of each dof is constant in the frame of the dof."""
         return all(dof.kind.constant_axis for dof in self.dofs)

@@ -98,7 +98,7 @@ def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict
     shapes |= {key: np.shape(x) for key, x in joint.params.items()}
     for key in given:
         if key not in shapes:
-            raise UnknownName(f"number of a {kind} joint", key, sorted(shapes))
+            raise UnknownName(f"parameter of a {kind} joint", key, sorted(shapes))
     starts = accumulate(map(np.size, joint.params.values()), initial=0)
     named = dict(zip(starts, joint.params, strict=False))
     axes = {"axis", *(named[at] for link in joint.dofs if (at := link.own_axis) is not None)}
@@ -151,7 +151,7 @@ def _check_forces(model: Any, joint: int, name: str, kind: str) -> None:
         named = getattr(element, "joints", None)
         if named is not None and (joint in named or name in named):
             raise InputError(
-                f"with_joint: {type(element).__name__} has a number for each coordinate of "
-                f"{name!r}, and a {kind} joint has others; give the joint first and its forces "
-                "then: model.replace(forces=()).with_joint(...).with_forces(...)"
+                f"with_joint: {type(element).__name__} has one value per coordinate of {name!r}, "
+                f"and a {kind} joint has other coordinates; replace the joint first and add its "
+                "forces after: model.replace(forces=()).with_joint(...).with_forces(...)"
             )

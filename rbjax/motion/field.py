@@ -14,6 +14,8 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import jax
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.contact.registry import law_of
+from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
@@ -108,7 +110,7 @@ class Field:
 
     @property
     def _model_of_dynamics(self) -> Model:
-        own = self.dynamics is free_motion or isinstance(self.dynamics, Formulation)
+        own = self.dynamics is free_motion or isinstance(self.dynamics, Formulation | SoftContact)
         return self.precomputed if own else self.model
 
     def forces(
@@ -158,11 +160,25 @@ def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
     return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
+def with_contact(where: str, model: Model, dynamics: Any, contact: Any) -> Any:
+    """Return the dynamics of a contact law, or the given dynamics if there is no law.
+
+    Raises:
+        InputError: no such law, a law that does not suit the model, or a law and a dynamics.
+    """
+    if contact is None:
+        return dynamics
+    check_model(where, model)
+    if dynamics is not free_motion:
+        raise InputError(f"{where}: got dynamics and contact={contact!r}, expected one of them")
+    return law_of(where, model, contact)
+
+
 def dynamics_of(
     where: str, model: Model, dynamics: Any, constraints: Any, *, steps: bool = False
 ) -> Any:
-    """Return the dynamics of a motion: the given one, a formulation of the model's constraints, or
-    free motion.
+    """Return the dynamics of a motion: the given one, the contact law of the model, a formulation
+    of its constraints, or free motion.
 
     steps: whether the motion has fixed steps, which `VelocityDynamics` require.
 
@@ -171,6 +187,9 @@ def dynamics_of(
     """
     check_model(where, model)
     if dynamics is free_motion:
+        law = model.contact
+        if law is not None:
+            return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics
     if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
         if not steps:

@@ -124,7 +124,7 @@ def check_sources(
             for k, x in arrays.items():
                 check_array("rollout", NAMES[k], x, shapes(model)[k], fix=f": {_FIXES[k]}")
             raise InputError(
-                "rollout: steps is None, expected a number unless an input has a row for each step"
+                "rollout: steps is None, expected an integer unless an input has a row per step"
             )
     rows, listed = [], []
     for k, x in arrays.items():

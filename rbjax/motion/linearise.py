@@ -30,7 +30,14 @@ from rbjax.forces.inputs import Inputs, Source, evaluated
 from rbjax.lanes.arrays import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
+from rbjax.motion.field import (
+    Dynamics,
+    Field,
+    VelocityDynamics,
+    dynamics_of,
+    free_motion,
+    with_contact,
+)
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of, semi_implicit_euler
 from rbjax.motion.step import with_memory
 
@@ -68,6 +75,7 @@ def linearise(
     integrator: str | Integrator | None = None,
     dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
 ) -> Linear:
     """Linearise the motion about a state and controls, with all forces that act on the model.
 
@@ -89,6 +97,8 @@ def linearise(
             form also to the velocity after the step (`VelocityDynamics`).
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
 
     Returns:
         `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx.
@@ -108,6 +118,7 @@ def linearise(
         >>> A.shape, B.shape
         ((4, 4), (4, 1))
     """
+    dynamics = with_contact("linearise", model, dynamics, contact)
     dynamics = dynamics_of("linearise", model, dynamics, constraints, steps=dt is not None)
     given = Inputs(ctrl, tau, wrenches)
     if dt is None:

@@ -33,13 +33,13 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.closures.captured import Captured, with_captured
-from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.inputs import Sources, check_sources
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
 from rbjax.motion.step import with_memory
 from rbjax.motion.threaded import Steps, rollout_on_threads
-from rbjax.motion.trajectory import Trajectory, all_finite
+from rbjax.motion.trajectory import Trajectory, all_finite, check_save_every, scan_steps
 
 
 def rollout(
@@ -53,6 +53,7 @@ def rollout(
     integrator: str | Integrator | None = None,
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
     save_every: int = 1,
     steps: int | None = None,
     kernel: bool | None = None,
@@ -103,6 +104,8 @@ def rollout(
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected" (see
             `rbjax.recommend.formulation`).
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
         save_every: number of steps from one saved state to the next, a divisor of the steps.
         steps: the number of steps, if no input has a row for each step.
         kernel: True: a sample is a GPU thread or a lane of machine code. False: a scan under XLA.
@@ -143,6 +146,7 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
+    dynamics = with_contact("rollout", model, dynamics, contact)
     path, step, dynamics = run_rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
@@ -163,16 +167,12 @@ def run_rollout(
     advance = integrator_of("rollout", integrator, dynamics)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
-    integer("rollout", "save_every", save_every, least=1, why=f", a divisor of the {steps} steps")
-    if steps % save_every:
-        raise InputError(
-            f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
-        )
+    save_every = check_save_every("rollout", save_every, steps)
     state = with_memory(model, state, dynamics, state.q.shape[:-1])
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
     threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
-    how = (int(save_every), steps, batched)
+    how = (save_every, steps, batched)
 
     def run_steps(*functions: Any) -> Trajectory:
         *asked, dynamics, advance = functions
@@ -241,20 +241,14 @@ def _states(
     """Integrate one sample and return all saved states, beginning with the initial one."""
     field = Field(model, how.dynamics, dt)
 
-    def once(state: State, i: jax.Array) -> tuple[State, None]:
+    def step(state: State, i: jax.Array) -> State:
         given = [] if rows is None else [rows[i]]
         if sources.has_functions:
             given.append(sources.evaluate(model, i * dt, state))
         inputs = sources.inputs(model, *given)
-        return advance_state(how.integrator, field, i * dt, state, inputs, dt), None
+        return advance_state(how.integrator, field, i * dt, state, inputs, dt)
 
-    def segment(state: State, start: jax.Array) -> tuple[State, State]:
-        steps = start + jnp.arange(how.save_every)
-        state, _ = jax.lax.scan(jax.checkpoint(once), state, steps)
-        return state, state
-
-    starts = jnp.arange(0, how.count, how.save_every)
-    _, states = jax.lax.scan(jax.checkpoint(segment), state, starts)
+    states = scan_steps(step, state, how.count, how.save_every)
     return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), state, states)
 
 

@@ -20,7 +20,6 @@ from rbjax.dynamics.arguments import (
     check_arrays,
     check_moves,
     check_step,
-    shape_of,
 )
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
@@ -29,7 +28,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
-from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion
+from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.inputs import inputs_between
 from rbjax.motion.term import (
     check_for_robots,
@@ -38,7 +37,7 @@ from rbjax.motion.term import (
     solver_of,
     unit_quaternions,
 )
-from rbjax.motion.trajectory import Trajectory, all_finite
+from rbjax.motion.trajectory import Trajectory, all_finite, check_times
 
 
 @automatic
@@ -55,6 +54,7 @@ def simulate(
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
     dynamics: Dynamics = free_motion,
     progress: bool = False,
     throw: bool = True,
@@ -99,6 +99,8 @@ def simulate(
         dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
         progress: whether to show diffrax's progress meter.
         throw: whether to raise if the solve fails; otherwise `result` and `ok` report it.
         max_steps: largest number of steps.
@@ -120,10 +122,11 @@ def simulate(
         >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
         (5, 1)
     """
+    dynamics = with_contact("simulate", model, dynamics, contact)
     state = check_arrays("simulate", model, {"state": state})["state"]
     state = State(state.q, state.v, state.x)  # only dynamics with fixed steps have a memory
     check_moves("simulate", model)
-    ts, elapsed = _times(ts, state.q.dtype)
+    ts, elapsed = check_times("simulate", ts, state.q.dtype)
     inputs = inputs_between("simulate", model, Inputs(ctrl, tau, wrenches), ts)
     if max_steps is not None:
         integer("simulate", "max_steps", max_steps, least=1)
@@ -253,21 +256,6 @@ def _check_kind(name: str, value: Any, kind: type) -> None:
         f"simulate: {name} is {got}, expected None or a {kind.__name__} of diffrax, as "
         "diffrax.DirectAdjoint() or diffrax.ConstantStepSize()"
     )
-
-
-def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
-    """Check the times; return them and the times since the first, subtracted before rounding."""
-    known = not isinstance(ts, jax.core.Tracer)
-    shape_of("simulate", "ts", ts)
-    ts = np.asarray(ts) if known else ts
-    if ts.ndim != 1 or ts.shape[0] < 2:
-        raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")
-    if ts.dtype.kind not in "iuf":
-        raise InputError(f"simulate: ts has dtype {ts.dtype}, expected times in seconds")
-    elapsed = (ts - ts[0]).astype(dtype)
-    if known and not (np.diff(elapsed) > 0).all():
-        raise InputError("simulate: ts must increase from the first to the last")
-    return jnp.asarray(ts, dtype), jnp.asarray(elapsed)
 
 
 def _advances(step: jax.Array, elapsed: jax.Array) -> None:

@@ -13,7 +13,14 @@ from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State
-from rbjax.motion.field import Dynamics, Field, VelocityDynamics, dynamics_of, free_motion
+from rbjax.motion.field import (
+    Dynamics,
+    Field,
+    VelocityDynamics,
+    dynamics_of,
+    free_motion,
+    with_contact,
+)
 from rbjax.motion.inputs import inputs_at
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 
@@ -28,6 +35,7 @@ def acceleration(
     t: Any = 0.0,
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
 ) -> jax.Array:
     """Compute the acceleration v' (nv,) of the whole model: actuators, springs and dampers, force
     elements and constraints.
@@ -46,6 +54,8 @@ def acceleration(
         dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`).
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
 
     Returns:
         (nv,) in the units of v per second.
@@ -61,6 +71,7 @@ def acceleration(
         >>> rb.acceleration(model, model.default_state(), jnp.ones(1)).shape
         (2,)
     """
+    dynamics = with_contact("acceleration", model, dynamics, contact)
     given = inputs_at("acceleration", model, Inputs(ctrl, tau, wrenches), t, state)
     return _acceleration(model, state, *given, t=t, dynamics=dynamics, constraints=constraints)
 
@@ -89,6 +100,7 @@ def step(
     integrator: str | Integrator | None = None,
     dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
 ) -> State:
     """Advance a state by one step of `rollout`, with constant inputs over the step.
 
@@ -107,6 +119,8 @@ def step(
             (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
         constraints: how to enforce the constraints of the model: a name of
             `rbjax.constraints.formulations`, a `Formulation`, or None for "projected".
+        contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
+            for the law of the model (`load(contacts=True)`).
 
     Returns:
         `State` after the step.
@@ -123,6 +137,7 @@ def step(
         >>> rb.step(model, model.default_state(), dt=0.01).q.shape
         (2,)
     """
+    dynamics = with_contact("step", model, dynamics, contact)
     given = inputs_at("step", model, Inputs(ctrl, tau, wrenches), t, state)
     return _step(
         model, state, given.ctrl, dt, given.tau, given.wrenches, t=t, integrator=integrator,

@@ -146,8 +146,8 @@ def check_for_robots(solver: diffrax.AbstractSolver) -> None:
     name = type(solver).__name__
     if not issubclass(OnGroup, solver.term_structure):
         raise InputError(
-            f"simulate: {name} solves {solver.term_structure.__name__} alone, "
-            "with diffrax.diffeqsolve; robots take the other solvers"
+            f"simulate: {name} solves only {solver.term_structure.__name__}, by "
+            "diffrax.diffeqsolve, not robots; use a solver of rb.solvers.all()"
         )
 
 

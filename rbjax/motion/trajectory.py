@@ -1,14 +1,19 @@
-"""Trajectories: states at times, and whether the integration succeeded."""
+"""Trajectories: states at times, the loop over fixed steps, and checks of both."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.arguments import integer
+from rbjax.dynamics.arguments import shape_of
+from rbjax.errors import InputError
 from rbjax.model import State
 
 
@@ -40,6 +45,50 @@ class Trajectory(eqx.Module):
 
     def __len__(self) -> int:
         return self.ts.shape[0]
+
+
+def scan_steps(step: Callable[[Any, jax.Array], Any], state: Any, count: int, every: int) -> Any:
+    """Run state = step(state, i) for `count` steps. Return the states after each `every` steps.
+
+    The reverse gradient keeps these states, and computes the steps between them again.
+    """
+
+    def once(state: Any, i: jax.Array) -> tuple[Any, None]:
+        return step(state, i), None
+
+    def segment(state: Any, first: jax.Array) -> tuple[Any, Any]:
+        if every == 1:
+            state = step(state, first)
+        else:
+            state, _ = jax.lax.scan(jax.checkpoint(once), state, first + jnp.arange(every))
+        return state, state
+
+    return jax.lax.scan(jax.checkpoint(segment), state, jnp.arange(0, count, every))[1]
+
+
+def check_save_every(where: str, save_every: Any, steps: int) -> int:
+    """Return the number of steps between saved states, a divisor of the number of steps."""
+    found = integer(
+        where, "save_every", save_every, least=1, why=f", a divisor of the {steps} steps"
+    )
+    if steps % found:
+        raise InputError(f"{where}: save_every is {found}, expected a divisor of the {steps} steps")
+    return found
+
+
+def check_times(where: str, ts: Any, dtype: Any) -> tuple[jax.Array, jax.Array]:
+    """Check the times; return them and the times since the first, subtracted before rounding."""
+    known = not isinstance(ts, jax.core.Tracer)
+    shape_of(where, "ts", ts)
+    ts = np.asarray(ts) if known else ts
+    if ts.ndim != 1 or ts.shape[0] < 2:
+        raise InputError(f"{where}: ts has shape {ts.shape}, expected (T,) with at least 2 times")
+    if ts.dtype.kind not in "iuf":
+        raise InputError(f"{where}: ts has dtype {ts.dtype}, expected times in seconds")
+    elapsed = (ts - ts[0]).astype(dtype)
+    if known and not (np.isfinite(elapsed).all() and (np.diff(elapsed) > 0).all()):
+        raise InputError(f"{where}: ts must increase from the first to the last, and be finite")
+    return jnp.asarray(ts, dtype), jnp.asarray(elapsed)
 
 
 def all_finite(states: State) -> jax.Array:

@@ -71,7 +71,7 @@ class VariationalMidpoint:
         if not (isinstance(self.evaluations, int) and self.evaluations >= 2):
             raise InputError(
                 f"VariationalMidpoint: evaluations is {self.evaluations!r}, "
-                "expected a whole number of at least 2"
+                "expected an integer of at least 2"
             )
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:

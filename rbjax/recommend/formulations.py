@@ -55,8 +55,8 @@ BY_RANK = ("null_space_qr",)
 FREE = "nothing decides: the model has 0 rows, its motion is free"
 #: the reasons for the defaults
 WHY = {
-    "projected": "keeps the rows at rounding over any horizon, decides no rank and has no number "
-    "to choose",
+    "projected": "keeps the constraint rows at rounding error over any horizon, decides no rank "
+    "and has no parameter to choose",
     "compliant": "enforces rows that yield, which the model has",
 }
 
@@ -235,7 +235,7 @@ def _decided(best: Trial, trials: list[Trial]) -> str:
         needs = f"needs steps of {bare.dt:.2g} s"
         if not bare.ok:
             needs = f"is off by {max(bare.gap, bare.error):.1e} with steps of {bare.dt:.2g} s"
-        return f"drift decides: multipliers, which puts nothing back, {needs}"
+        return f"drift decides: multipliers, which does not correct drift, {needs}"
     other = min((x for x in trials if x is not best), key=lambda x: x.cost)
     short = f"accuracy decides: {other.name} is off by {max(other.gap, other.error):.1e}"
     return cost_decides(best, trials) or short

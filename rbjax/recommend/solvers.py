@@ -330,7 +330,7 @@ def _reason(
     if best.growth == 1.0:
         return (
             f"the horizon decides: over {horizon:g} s the error of a symplectic method grows "
-            f"with t, that of {explicit.name} with t^2; {met}"
+            f"with t, the error of {explicit.name} with t^2; {met}"
         )
     if by_stability:
         there = "no step was found" if held is None else f"its error is only {held[1]:.1e}"

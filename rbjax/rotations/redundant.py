@@ -118,7 +118,10 @@ class AxisAngle:
         return self._rate(x, 1.0)
 
     def inverse_body_rate(self, x: list) -> list:
-        """Return the matrix: phi' = n.omega, n' = (cot(phi/2) (omega - n phi') + n x omega) / 2."""
+        """Return the matrix (4, 3) from the body rate omega to (n', phi') at x = (n, phi), by rows.
+
+        phi' = n.omega,    n' = (cot(phi/2) (omega - n phi') + n x omega) / 2
+        """
         return self._inverse(x, 0.5)
 
     def inverse_space_rate(self, x: list) -> list:

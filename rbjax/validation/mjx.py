@@ -39,9 +39,9 @@ class Mjx:
 
     def __init__(self, m: mujoco.MjModel):
         if m.jnt_stiffnesspoly.any() or m.dof_dampingpoly.any() or m.tendon_stiffnesspoly.any():
-            raise NotImplementedError("it knows only linear joint springs and dampers")
+            raise NotImplementedError("it has only linear joint springs and dampers")
         if m.actuator_damping.any() or m.actuator_dampingpoly.any() or m.actuator_armature.any():
-            raise NotImplementedError("it knows no damping and no armature of actuators")
+            raise NotImplementedError("it has no damping and no armature of actuators")
         self.reference, self.model = m, mjx.put_model(m)
         self.blank = mjx.make_data(m)
         options = fast()

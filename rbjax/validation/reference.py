@@ -18,20 +18,16 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.mjcf.dropped import dropped_features, tendon_is_supported
-from rbjax.loading.mjcf.fields import is_at_joint, reason_left_out
+from rbjax.loading.mjcf.dropped import dropped_features
+from rbjax.loading.mjcf.fields import is_at_joint, is_at_tendon, reason_left_out
 
 Array = np.ndarray
 
 #: the part of MuJoCo's Euler step beyond the equation above
 _EULER = "implicit joint damping in MuJoCo's Euler step"
 _ZEROED = (
-    "dof_frictionloss", "tendon_frictionloss", "flex_stiffness", "flex_damping",
+    "dof_frictionloss", "tendon_frictionloss", "tendon_armature", "flex_stiffness", "flex_damping",
     "flex_edgestiffness", "flex_edgedamping",
-)  # fmt: skip
-_TENDONS = (
-    "tendon_stiffness", "tendon_damping", "tendon_armature", "tendon_stiffnesspoly",
-    "tendon_dampingpoly",
 )  # fmt: skip
 
 
@@ -50,7 +46,6 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     """
     m = copy.copy(compile_model(source, floating_base=floating_base))
     off = (*dropped_features(m), _EULER)
-    slack = [i for i in range(m.ntendon) if not tendon_is_supported(m, i)]
     bits = mujoco.mjtDisableBit
     for bit in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT):
         m.opt.disableflags |= int(bit)
@@ -64,13 +59,13 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
         if reason_left_out(m, i):
             loosen(m, i)
         if not is_at_joint(m, i):
-            m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0
+            m.actuator_armature[i] = 0.0
+            if not is_at_tendon(m, i):
+                m.actuator_damping[i] = m.actuator_dampingpoly[i] = 0.0
     for field in _ZEROED:
         values = getattr(m, field, None)  # several are new in MuJoCo 4
         if values is not None:
             values[:] = 0.0
-    for field in _TENDONS:
-        getattr(m, field)[slack] = 0.0
     return m, off
 
 

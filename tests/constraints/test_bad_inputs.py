@@ -47,6 +47,9 @@ MADE: dict[str, Callable] = {
     "Distance.between: got one point, expected two": lambda: rc.Distance.between(
         MODEL, "upper", "lower", length=1.0
     ),
+    "Frame: got neither of body and site": lambda: rc.Spherical(HERE, rb.Frame()),
+    "Frame: got both of body and site": lambda: rc.Spherical(rb.Frame("a", None, "b"), HERE),
+    "an rb.Frame as b": lambda: rc.Distance.between(MODEL, rb.Frame("upper"), "lower"),
     "point and other are both": lambda: rc.Distance.between(
         MODEL, "upper", "lower", other=[0, 0, 0]
     ),

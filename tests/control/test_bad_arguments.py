@@ -360,5 +360,5 @@ def test_bad_arguments_are_rejected(function):
                 call(**given | {what: value})
                 pytest.fail(f"{what}={value!r} is accepted")
             said = str(caught.value)
-            cures = ("expected", "names here are", "give ", "Give ", "which name their own", ";")
+            cures = ("expected", "known names", "give ", "Give ", "which name their own", ";")
             assert any(cure in said for cure in cures), said

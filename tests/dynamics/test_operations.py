@@ -14,7 +14,7 @@ from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
 
-NO_ELEMENTS = {"Place", "Element", "Frame", "Context", "Joint", "Loads", "applied_forces",
+NO_ELEMENTS = {"Place", "Element", "Frame", "Context", "JointState", "Loads", "applied_forces",
                "elastic_energy", "on_each"}  # fmt: skip
 
 ONCE = jax.ShapeDtypeStruct((), float)

@@ -67,7 +67,7 @@ def error_of(model: rb.Model, m: mujoco.MjModel, count: int = STATES) -> float:
 def worst_error(m: mujoco.MjModel, driver: str = "auto", **options: Any) -> float:
     """`error_of` the model as it is loaded, which must have force elements."""
     model = load_quietly(m, **options).replace(driver=driver)
-    assert model.nv and model.forces, "the model has nothing to compare"
+    assert model.nv and (model.forces or model.tendons), "the model has nothing to compare"
     return error_of(model, m)
 
 

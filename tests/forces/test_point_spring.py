@@ -13,6 +13,7 @@ from tests.forces.against_mujoco import (
     SEEDS,
     costs_nothing,
     energy_slope,
+    error_of,
     slopes,
     states,
     tree,
@@ -68,10 +69,19 @@ def test_every_driver(driver: str) -> None:
     assert worst_error(m, driver) < F64_PARITY
 
 
-@pytest.mark.parametrize("more", ['limited="true" range="0 1"', 'frictionloss="1"', 'armature="1"'])
-def test_other_tendons_are_left_out(more: str) -> None:
+@pytest.mark.parametrize(
+    ("more", "left_out"),
+    [
+        ('limited="true" range="0 1"', "tendon limits (slack)"),
+        ('frictionloss="1"', "tendon friction loss (slack)"),
+        ('armature="1"', "tendon armature (slack)"),
+    ],
+)
+def test_limits_friction_and_armature_are_named(more: str, left_out: str) -> None:
     model = load_quietly(ARM.format(more=more))
-    assert model.dropped == ("tendons (slack)",) and len(model.forces) == 2
+    assert model.dropped == (left_out,)
+    same = mujoco.MjModel.from_xml_string(ARM.format(more=""))
+    assert error_of(model, same) < F64_PARITY
 
 
 def test_disabled() -> None:
@@ -87,10 +97,10 @@ def test_slopes() -> None:
     q, v, _ = states(mujoco.MjModel.from_xml_string(ARM.format(more="")), 1)
 
     def f(at):
-        forces, q, v = at
-        return rb.applied_forces(model.replace(forces=forces), rb.State(q, v))
+        tendons, q, v = at
+        return rb.applied_forces(model.replace(tendons=tendons), rb.State(q, v))
 
-    assert slopes(f, (model.forces, q[0], v[0])) < GRADIENT
+    assert slopes(f, (model.tendons, q[0], v[0])) < GRADIENT
     force, slope = energy_slope(model, q[0])
     np.testing.assert_allclose(force, slope, atol=1e-11)
 

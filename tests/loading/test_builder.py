@@ -101,7 +101,7 @@ def test_a_model_is_attached_with_its_numbers() -> None:
     [
         (lambda b: b.add_body("c", "none"), "body"),
         (lambda b: b.add_joint("j", "a", "screw"), "kind of joint"),
-        (lambda b: b.add_joint("j", "a", stretch=1.0), "number of a joint"),
+        (lambda b: b.add_joint("j", "a", stretch=1.0), "parameter of a joint"),
         (lambda b: b.add_joint("j", "a", axis=[1, 0]), "axis has 2 numbers, expected 3"),
         (lambda b: b.add_body("c", mass=1.0, inertia=np.ones((2, 2))), r"\(2, 2\)"),
         (lambda b: b.lock("none"), "joint"),

@@ -12,7 +12,7 @@ from tests.loading.test_load import joint, link, load_quietly, mjcf, urdf
 
 COLLIDES = '<collision><geometry><sphere radius="1"/></geometry></collision>'
 BODY = '<body name="b"><joint name="j" {}/><geom size=".1"/><site name="s"/></body>'
-GYRO = '<sensor><gyro site="s" name="g"/></sensor>'
+USER = '<sensor><user name="g" dim="1"/></sensor>'
 
 
 def arm(limits: tuple[float, float] | None = None, extra: str = "", collides: bool = False) -> str:
@@ -27,8 +27,8 @@ def arm(limits: tuple[float, float] | None = None, extra: str = "", collides: bo
 
 #: an entry of `dropped`, what cures it, the file, and arguments with which nothing is left out
 ENTRIES = {
-    "sensors (g)": (
-        "rbjax.sysid", mjcf(BODY.format(""), extra=GYRO), None),
+    "sensors of the kind user (g)": (
+        "rbjax.sensors.CustomSensor", mjcf(BODY.format(""), extra=USER), None),
     "cameras (eye)": (None, mjcf('<camera name="eye"/>' + BODY.format("")), None),
     "joint limits (j)": (
         "load(limits=True)", mjcf(BODY.format('range="0 1" limited="true"')), {"limits": True}),

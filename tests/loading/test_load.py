@@ -241,9 +241,9 @@ DROPPED = {  # word of the message: file that has it
         extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
         '<equality><tendon name="loop" tendon1="idle"/></equality>',
     ),
-    "tendons (rope)": mjcf(
+    "tendon friction loss (rope)": mjcf(
         body('<joint name="a"/>'),
-        extra='<tendon><fixed name="rope" stiffness="1"><joint joint="a" coef="1"/></fixed>'
+        extra='<tendon><fixed name="rope" frictionloss="1"><joint joint="a" coef="1"/></fixed>'
         '<fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
@@ -255,10 +255,10 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="a"/>'),
         extra='<actuator><adhesion name="gecko" body="b" ctrlrange="0 1"/></actuator>',
     ),
-    "damping and armature of actuators at tendons (m)": mjcf(
+    "tendon armature (idle)": mjcf(
         body('<joint name="a"/>'),
         extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
-        '<actuator><motor name="m" tendon="idle" damping="1 2 3"/></actuator>',
+        '<actuator><motor name="m" tendon="idle" armature="1"/></actuator>',
     ),
 }  # fmt: skip
 
@@ -355,7 +355,7 @@ def test_an_unknown_scene_lists_the_scenes() -> None:
     assert "'penduluum'" in str(caught.value)
     assert all(repr(name) in str(caught.value) for name in rb.scenes())
     for name in ("x" * 5000, "a\0b"):
-        with pytest.raises(rb.UnknownName, match="the scene names here are") as caught:
+        with pytest.raises(rb.UnknownName, match="known names: ") as caught:
             rb.load(name)
         assert len(str(caught.value)) < 1000
 

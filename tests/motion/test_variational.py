@@ -276,5 +276,5 @@ def test_servos_of_joints_may_be_stiff(kind):
 
 @pytest.mark.parametrize("wrong", [1, 0, 2.0, None])
 def test_the_number_of_evaluations_is_checked(wrong):
-    with pytest.raises(rb.InputError, match="expected a whole number of at least 2"):
+    with pytest.raises(rb.InputError, match="expected an integer of at least 2"):
         VariationalMidpoint(wrong)

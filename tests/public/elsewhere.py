@@ -11,7 +11,7 @@ ELSEWHERE: dict[str, set[str]] = {
     "spatial": set(),
     "body": {"formulation", "formulations"},
     "dynamics": set(),
-    "forces": {"on_each"},
+    "forces": {"on_each", "tendon_reach"},
     "joints": {"kind", "kinds", "register", "hinge_motion"},
     "loading": {"compile_model", "load", "scenes", "write_back", "write_mjcf"},
     # rows are functions of frames: tests/constraints/test_pairs.py and test_rows.py

@@ -36,7 +36,7 @@ ROOMS = {m.name for m in pkgutil.iter_modules(rb.__path__) if m.ispkg} - {"motio
 ALL_TESTS = Path(__file__).parent.parent
 #: rooms whose functions are cases of a table of another name
 TABLE_OF = {"rb": "models", "dynamics": "models", "forces": "models", "spatial": "bodies",
-            "body": "bodies", "kinematics": "control"}  # fmt: skip
+            "sensors": "models", "body": "bodies", "kinematics": "control"}  # fmt: skip
 SUBROOMS = {f"control.{name}" for name in ("laws", "learning", "linear", "optimal")}
 TABLE_OF |= dict.fromkeys(SUBROOMS, "control")
 

@@ -101,7 +101,7 @@ def test_units_are_those_of_what_is_read():
 
 def test_bad_sensors_are_named():
     setup = Setup.of(loaded(ARM)[0])
-    with pytest.raises(rb.UnknownName, match="site 'hand'"):
+    with pytest.raises(rb.UnknownName, match="site or body 'hand'"):
         setup.with_sensors("gyro:hand")
     with pytest.raises(rb.UnknownName, match="body or site 'hand'"):
         setup.with_sensors("pose:hand")

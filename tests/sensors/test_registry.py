@@ -1,5 +1,7 @@
 """A sensor is added by one class: it is simulated, recorded and calibrated by its name."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,10 @@ import pytest
 
 import rbjax as rb
 from rbjax import sensors
-from rbjax.sensors.ideal import SiteSensor
+from rbjax.sensors.fixed import FrameSensor
 from rbjax.sensors.protocol import _KINDS
 from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
+from tests.robots import robot
 
 
 @pytest.fixture
@@ -17,9 +20,9 @@ def compass():
     """A sensor of one axis of a site, as a user adds it."""
 
     @sensors.register("compass", placed=True)
-    class Compass(SiteSensor):
+    class Compass(FrameSensor):
         def __call__(self, context):
-            return rb.frame_pose(context.model, context.state.q, site=self.site)[0].T[:, 0]
+            return self.at(context).rotation.T.columns[0].array
 
         def unit(self, model):
             return "1"
@@ -62,16 +65,31 @@ def test_a_registered_sensor_is_fitted():
         del _KINDS["cosine"]
 
 
+BELT = """<mujoco><worldbody><body><joint name="j"/><geom size="0.1" contype="0" conaffinity="0"/>
+</body></worldbody><tendon><fixed name="belt"><joint joint="j" coef="2"/></fixed></tendon>
+</mujoco>"""
+
+
 @pytest.mark.parametrize("name", [*sensors.kinds()])
 def test_names_are_as_many_as_values(name):
-    for scene in ("arm7", "free_body"):
-        model = rb.load(scene)
-        if sensors.kinds()[name].placed and not model.site_names:
-            continue
-        place = f":{model.site_names[0]}" if sensors.kinds()[name].placed else ""
-        sensor = sensors.sensor_of(name + place)
-        assert len(sensor.names(model)) == sensor.columns(model).size
-        assert isinstance(sensor, sensors.Sensor) and sensor.unit(model)
+    imu = sensors.NamedSensor("imu", sensors.Gyro("tip"))
+    own = rb.load(BELT) if name.startswith("tendon") else robot("small").model
+    model, kind = own.replace(sensors=(imu,)), sensors.kinds()[name]
+    places = {
+        "frame": "tip",
+        "joint": "ball" if name.startswith("ball") else "hinge",
+        "actuator": "servo",
+        "body": "hand",
+        "name": "imu",
+        "tendon": "belt",
+    }
+    place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
+    sensor = sensors.sensor_of(name + place)
+    assert len(sensor.names(model)) == sensor.columns(model).size
+    assert isinstance(sensor, sensors.Sensor) and sensor.unit(model)
+    state = model.random_state(jax.random.key(0))
+    context = sensors.Context.of(model, jnp.array(0.0), state, jnp.zeros(model.nu))
+    assert sensor(context).shape == (sensor.columns(model).size,)
 
 
 def test_wrong_names_are_errors():

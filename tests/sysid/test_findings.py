@@ -82,7 +82,7 @@ def test_outliers(share):
     ("v", "words"),
     [
         (V * [1, -1, 1], "knee is minus the rate of its q"),
-        (V[:, [0, 2, 1]], "knee is not the rate of its q; that of ankle is"),
+        (V[:, [0, 2, 1]], "knee is not the rate of its q, but like the rate of q of ankle"),
         (V * [1, 57.3, 1], "knee is 57.3 times the rate of its q: wrong units"),
     ],
 )

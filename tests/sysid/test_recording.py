@@ -50,7 +50,7 @@ def test_units_signs_and_scales_are_said_once():
 def test_what_is_wrong_with_a_channel_is_named(given, message):
     with pytest.raises(rb.InputError, match=message):
         Channel(**({"t": T, "values": SWING, "names": ("hip", "knee")} | given))
-    with pytest.raises(rb.UnknownName, match=r"unit 'grad'; the unit names here are: .*'deg'"):
+    with pytest.raises(rb.UnknownName, match=r"unit 'grad'; known names: .*'deg'"):
         Channel(T, SWING, unit="grad")
 
 

@@ -108,7 +108,7 @@ def test_what_no_robot_has_is_refused():
     def traced(y):
         return Robot.of(Body(1.0, 1.0), [Wheel([0.0, y])]).gravity
 
-    with pytest.raises(rb.InputError, match="numbers are traced"):
+    with pytest.raises(rb.InputError, match="parameters are traced"):
         jax.eval_shape(traced, 0.1)
     with pytest.raises(rb.InputError, match="motor is float"):
         Robot.of(Body(1.0, 1.0), wheels, [Drive((0,), 2.0)])

@@ -37,7 +37,7 @@ def test_lengths_masses_and_names_of_every_kind(kind: str) -> None:
     for name in ("mass", "inertia", "wheel_mass"):
         with pytest.raises(rb.InputError, match="expected numbers of at least 0"):
             KINDS[kind].make(**{name: -1.0})
-    with pytest.raises(rb.UnknownName, match=f"number of a {kind} 'nonsense'.*'radius'"):
+    with pytest.raises(rb.UnknownName, match=f"parameter of a {kind} 'nonsense'.*'radius'"):
         KINDS[kind].make(nonsense=1.0)
 
 

@@ -126,7 +126,7 @@ def chunked_rows(dtype: np.dtype, size: int) -> RowTile:
 
 
 def rows_of_runs(dtype: np.dtype, size: int) -> RowTile:
-    """Return the layout of chunks of a row that start anywhere."""
+    """Return the layout of chunks that may start at any entry of a row."""
     width = min(TILE * 4 // max(dtype.itemsize, 4), size)
     return RowTile(dtype, size, width, 1, 0, width | 1)
 

@@ -94,9 +94,9 @@ Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 def range_space_problem(
     d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
-    """Set up the range-space equations A dl = c - G a_f of the multipliers.
+    """Set up the range-space equations A l = c - G a_f of the multipliers l, for rows G a = c.
 
-    A = G M^-1 G^T is the Delassus matrix, and a_f the free acceleration, from which they start.
+    A = G M^-1 G^T is the Delassus matrix, and a_f the acceleration without constraints.
     """
     qdd, factors = aba(d, context.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
@@ -206,8 +206,11 @@ def factor_delassus(
     d: Driver, factors: Any, context: Context, rows: Sequence[Row], damping: float | None = None
 ) -> Delassus:
     """Factor the Delassus matrix G M^-1 G^T, on lanes or, for many rows or a rolled tree, as an
-    array. `damping` replaces eps and e of the regularization and sets one refinement; None uses the
-    values of the dtype."""
+    array.
+
+    damping: replaces the regularization parameters and sets one refinement; None uses the values
+        of the dtype.
+    """
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, context, rows, damping)
 

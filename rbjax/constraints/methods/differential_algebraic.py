@@ -70,8 +70,7 @@ class DifferentialAlgebraic(Method):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """The method whose linearised equations damp the error estimate (`damp_error`): this
-        method."""
+        """The formulation whose linearised equations filter the error estimate; this one."""
         return self
 
     def algebraic(
@@ -177,9 +176,10 @@ class Index3(DifferentialAlgebraic):
 
     @property
     def damping(self) -> DifferentialAlgebraic:
-        """The method whose linearised equations damp the error estimate: GGL.
+        """The formulation whose linearised equations filter the error estimate: `GGL`.
 
-        At index 3 velocity errors across the constraints persist for short steps.
+        With the equations of index 3, errors of velocity normal to the constraints would remain in
+        the estimate of short steps.
         """
         return GGL()
 

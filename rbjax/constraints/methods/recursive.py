@@ -148,9 +148,11 @@ def cluster_problem(
             force = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, f_ext), tau)
             return lambda f, c: delassus.solve(force if f is None else f, c)
         moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
-        tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
-        own = {i: -f for i, (_, f) in enumerate(moved)}
-        return lambda f, c: tree.solve(tau, own, c) if f is None else tree.solve(f, {}, c)
+        tree = ClusterTree(d, joints, [X for X, *_ in moved], rows, found, tau)
+        own = {i: -f for i, (_, f, _) in enumerate(moved)}
+        modes = [mode for *_, mode in moved]
+        left = tau if all(map(is_zero, modes)) else tau - pack(modes, tau)
+        return lambda f, c: tree.solve(left, own, c) if f is None else tree.solve(f, {}, c)
 
     return LinearProblem(None, None, factor)
 
@@ -197,11 +199,11 @@ class ClusterTree:
         for i in reversed(range(len(joints))):
             link, joint, X = constants[i], joints[i], poses[i]
             I_children = self._with_clusters(i, carried.pop(i, ArticulatedInertia.zero()))
-            I_A = link.inertia.articulated() + I_children
-            I_a, factor = eliminate(link, joint.S, X, I_A)
+            I_A = joint.inertia(link).articulated() + I_children
+            I_a, factor = eliminate(link, joint, X, I_A)
             message, parent = None, self._parents[i]
             if parent != WORLD:
-                mass = rigid_mass(link, joint.S, I_children)
+                mass = rigid_mass(link, joint, I_children)
                 message = to_parent(X, I_a, factor, mass)
             known = (link, joint, X, I_children)
             message, self._factors[i] = fusion_barrier((message, factor), known=known)

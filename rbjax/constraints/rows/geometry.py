@@ -22,13 +22,15 @@ import jax.numpy as jnp
 
 from rbjax.arguments import instance
 from rbjax.constraints.rows.row import Row
+from rbjax.dynamics.algorithms.frames import frame_pose, locate
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
 from rbjax.forces import Frame, Loads
 from rbjax.forces.context import Context
 from rbjax.forces.place import Place, turn_z_to
 from rbjax.lanes import Vec3, add, mul, sub
-from rbjax.model import Model
+from rbjax.model import WORLD, Model
+from rbjax.model import Frame as FixedFrame
 from rbjax.rotations import quaternion
 
 X, Y, Z = (Vec3(*(float(i == k) for i in range(3))) for k in range(3))
@@ -127,31 +129,41 @@ def turn(A: Frame, B: Frame) -> list[Row]:
     ]
 
 
+#: the name or index of a body, an `rb.Frame`, or None for the world
+End = str | int | FixedFrame | None
+
+
 def places(
     model: Model,
-    a: str | int | None,
-    b: str | int | None,
+    a: End,
+    b: End,
     *,
-    point: Any = (0.0, 0.0, 0.0),
+    point: Any = None,
     axis: Any = (0.0, 0.0, 1.0),
     q: jax.Array | None = None,
 ) -> tuple[Place, Place]:
-    """Return the places on two bodies of one frame in the world, for one configuration.
+    """Return the `Place` on each of two bodies that coincides with a given frame of the world.
 
     Args:
         model: the robot.
-        a, b: names or indices of bodies; None is the world.
-        point: (3,) origin of the frame, m in world axes.
+        a, b: names or indices of bodies, or `rb.Frame`s; None is the world.
+        point: (3,) origin of the frame, m in world axes. None: the origin of a if it is an
+            `rb.Frame`, else the origin of the world.
         axis: (3,) z axis of the frame in world axes, of any length.
-        q: (nq,) configuration; None for the model's default state.
+        q: (nq,) configuration at which they coincide; None for the model's default state.
     """
     instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
     q = model.default_state().q if q is None else q
+    point = origin(model, a, q) if point is None else point
     point = check_array("places", "point", point, (3,)).astype(q.dtype)
     turn = turn_z_to(check_array("places", "axis", axis, (3,)).astype(q.dtype))
     R, p = forward_kinematics(model, q)
 
-    def of(body: str | int | None) -> Place:
+    def of(end: End) -> Place:
+        body = end
+        if isinstance(end, FixedFrame):
+            found, _ = locate("between", model, q, end)
+            body = None if found == WORLD else found
         if body is None:
             return Place(point, turn)
         k = model.body(body)
@@ -159,3 +171,9 @@ def places(
         return Place(R[k].T @ (point - p[k]), quaternion.multiply(own, turn), body)
 
     return of(a), of(b)
+
+
+def origin(model: Model, end: End, q: jax.Array | None = None) -> jax.Array:
+    """Return the origin (3,) in the world of an `rb.Frame`; of another end, that of the world."""
+    q = model.default_state().q if q is None else q
+    return frame_pose(model, q, end)[1] if isinstance(end, FixedFrame) else jnp.zeros(3, q.dtype)

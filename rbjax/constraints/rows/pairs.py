@@ -22,6 +22,7 @@ import numpy as np
 
 from rbjax.constraints.rows.geometry import (
     AXES,
+    End,
     X,
     Y,
     Z,
@@ -29,6 +30,7 @@ from rbjax.constraints.rows.geometry import (
     cosine,
     displacement,
     distance,
+    origin,
     places,
     turn,
 )
@@ -36,7 +38,8 @@ from rbjax.constraints.rows.row import Constraint, Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
+from rbjax.model import Frame as FixedFrame
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
@@ -52,15 +55,16 @@ class Pair(Constraint):
     Origin and axes of the frame on body a are p_a, x_a and z_a, of the frame on b p_b, x_b, z_b.
 
     Fields:
-        a, b: `Place`s on the two bodies.
+        a, b: frames on the two bodies: `Place`s, or `rb.Frame`s, whose z axis is that of the body
+            or site.
 
     Class fields:
         primitives: functions (A, B) -> rows of two frames. The joint has the rows of all of them.
         turns: slice of the rows that are the sine of an angle (`turn`), or None.
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     primitives: ClassVar[Sequence[Primitive]] = ()
     turns: ClassVar[slice | None] = None
 
@@ -71,10 +75,10 @@ class Pair(Constraint):
     def between(
         cls,
         model: Model,
-        a: str | int | None,
-        b: str | int | None,
+        a: End,
+        b: End,
         *,
-        point: Any = (0.0, 0.0, 0.0),
+        point: Any = None,
         axis: Any = (0.0, 0.0, 1.0),
         q: jax.Array | None = None,
         **numbers: Any,
@@ -83,8 +87,9 @@ class Pair(Constraint):
 
         Args:
             model: the robot.
-            a, b: names or indices of bodies; None is the world.
-            point: (3,) m in world axes.
+            a, b: names or indices of bodies, or `rb.Frame`s; None is the world.
+            point: (3,) m in world axes. None: the origin of a if it is an `rb.Frame`, else the
+                origin of the world.
             axis: (3,) direction of the joint's axis in world axes, of any length.
             q: (nq,) configuration; None for the model's default state.
             numbers: the other fields of the joint.
@@ -289,10 +294,10 @@ class Distance(Pair):
     def between(  # type: ignore[override]
         cls,
         model: Model,
-        a: str | int | None,
-        b: str | int | None,
+        a: End,
+        b: End,
         *,
-        point: Any = (0.0, 0.0, 0.0),
+        point: Any = None,
         other: Any = None,
         length: Any = None,
         q: jax.Array | None = None,
@@ -301,19 +306,23 @@ class Distance(Pair):
 
         Args:
             model: the robot.
-            a, b: names or indices of bodies; None is the world.
-            point: (3,) end of the rod on a, m in world axes.
-            other: (3,) end of the rod on b, m in world axes.
+            a, b: names or indices of bodies, or `rb.Frame`s; None is the world.
+            point: (3,) end of the rod on a, m in world axes. None: the origin of a if it is an
+                `rb.Frame`, else the origin of the world.
+            other: (3,) end of the rod on b, m in world axes. None: the origin of the `rb.Frame` b.
             length: m; None for the distance of the two points.
             q: (nq,) configuration; None for the model's default state.
 
         Raises:
             InputError: `other` is missing or equal to `point`.
         """
+        point = origin(model, a, q) if point is None else point
+        if other is None and isinstance(b, FixedFrame):
+            other = origin(model, b, q)
         if other is None:
             raise InputError(
                 "Distance.between: got one point, expected two: other=(3,) is the end on b, m in "
-                "the world. Distance(a, b, length) takes two Places"
+                "the world, or an rb.Frame as b. Distance(a, b, length) takes two Frames or Places"
             )
         point = check_array("Distance.between", "point", point, (3,))
         other = check_array("Distance.between", "other", other, (3,))

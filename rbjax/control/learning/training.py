@@ -22,6 +22,7 @@ from rbjax.compiler import fast_compile
 from rbjax.control.learning.environment import Environment
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
+from rbjax.lanes.arrays import select
 from rbjax.model.record import Record
 from rbjax.progress import progress_line
 
@@ -162,9 +163,7 @@ def apply_update(
     slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)
     update, after = optimiser.update(slope, memory, numbers)
     moved = optax.apply_updates(numbers, update)
-    numbers, memory = jax.tree.map(
-        lambda new, old: jnp.where(fine, new, old), (moved, after), (numbers, memory)
-    )
+    numbers, memory = select(fine, (moved, after), (numbers, memory))
     return numbers, memory, fine
 
 

@@ -29,6 +29,7 @@ from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 
 
 class Guess(NamedTuple):
@@ -98,7 +99,7 @@ def first_guess(
     cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
     good = whole & jnp.isfinite(cost)
     good &= (cost <= standing) if K is None else (gains != 0).any()
-    return jax.tree.map(lambda x, y: jnp.where(good, x, y), found, (knots, us))
+    return select(good, found, (knots, us))
 
 
 def _rolled(

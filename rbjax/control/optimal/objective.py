@@ -43,7 +43,7 @@ def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
             if jnp.size(end) not in (1, size):
                 raise InputError(
                     f"Constraint({c.name}): bounds and term differ in size: {name} has "
-                    f"{jnp.size(end)} numbers, the term {size}; give one, or one for each"
+                    f"{jnp.size(end)} entries, the term has {size}; give one entry, or {size}"
                 )
         out.append((c, size))
     return out

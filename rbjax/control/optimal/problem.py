@@ -302,7 +302,7 @@ class Problem(Record):
         if w.shape not in ((), value.shape):
             raise InputError(
                 f"Problem: the weight of {cost.term.label} has shape {w.shape}, expected () or "
-                f"that of its value, {value.shape}"
+                f"the shape of its value, {value.shape}"
             )
         return _root(w) * value if value.ndim else w * value
 

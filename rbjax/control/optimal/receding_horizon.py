@@ -34,6 +34,7 @@ from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
+from rbjax.lanes.arrays import select
 
 
 class TickStatus(enum.IntEnum):
@@ -126,7 +127,7 @@ class PredictiveController:
         found = self._search(problem, x, knots, us, None, self.first)
         whole = _finite((found.knots, found.ctrl, found.K)) & (found.status != NOT_FINITE)
         given, planned = (knots, us), (found.knots, found.ctrl)
-        knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
+        knots, us = select(whole, planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
@@ -252,8 +253,7 @@ class PredictiveController:
             multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
-        picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
-        return picked._replace(search_status=found.status)
+        return select(good, new, old)._replace(search_status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
         """Shift the plan by a tick, with the last control repeated."""
@@ -262,7 +262,7 @@ class PredictiveController:
         last = take(memory.knots, -1)
         k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
         after = threads(problem.step)(k, last, ctrls[-1])
-        after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
+        after = select(_finite(after), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
         at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
         multipliers = shift_multipliers(memory.multipliers, at)

@@ -56,7 +56,7 @@ METHODS: dict[str, Method] = {
     "sqp": Method(
         solve_sqp, True, True,
         "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
-        "multiple shooting; from guesses of the states that no controls follow, for MPC, and for "
+        "multiple shooting; from guesses of states that no controls produce, for MPC, and for "
         "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
     ),
     "exact_sqp": Method(
@@ -88,7 +88,7 @@ METHODS: dict[str, Method] = {
     "hermite_simpson": collocation(
         lobatto_iiia(3),
         "collocation of order 4, controls at both ends and in the middle of each step: free final "
-        "times, constraints on the path, and guesses of the states that no controls follow",
+        "times, constraints on the path, and guesses of states that no controls produce",
     ),
     "gauss_legendre": collocation(
         gauss(3), "the same of order 6, with three stages inside each step: few long steps"

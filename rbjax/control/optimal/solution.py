@@ -129,7 +129,7 @@ class Solution(Record):
         if status == INFEASIBLE or (status == BUDGET and names and self.violations.max() > 1e-6):
             worst = int(jnp.argmax(self.violations))
             off = float(self.violations[worst])
-            text += f"; the largest violation is that of the constraint {names[worst]!r}, {off:.3g}"
+            text += f"; the constraint {names[worst]!r} has the largest violation, {off:.3g}"
         return text
 
     @property

@@ -331,8 +331,8 @@ def _without_derivative(found: SearchResult) -> SearchResult:
 def _refuse(primals: Any, tangents: Any) -> Any:
     able = [name for name, m in METHODS.items() if m.differentiable]
     raise InputError(
-        f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
-        "by one of them, from the states and controls found"
+        "solve: this method gives no derivative of its optimum; solve again by one of the methods "
+        f"{able}, from the states and controls found"
     )
 
 

@@ -2,9 +2,10 @@
 
 The recursion uses the classical acceleration of each link's origin (Newton-Euler form). It then
 needs no linear velocities (Luh, Walker & Paul 1980). Forces add as spatial forces about the origin.
+C and m are the coupling and the mass of a mode, zero for a rigid link (joints/modal.py).
 
     outward   w = E w_p + rate;   c = bias acceleration;   p = [w x J w; w x (w x h)]
-    inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
+    inward    U = I_A S + C;  D = S.U + S.C + m + armature;  u = tau - S.p_A
               to the parent: X^T (I_A - U U^T / D),  X^T (p_A + I_a c + U u / D)
     outward   a' = X(a_p) + c;  qdd = (u - U.a') / D;  a = a' + S qdd
 
@@ -34,6 +35,7 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_implicit_jvp,
 )
 from rbjax.errors import ModelError
+from rbjax.joints import JointMotion
 from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, mul, sub
 from rbjax.model import LinkConstants, Model, with_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
@@ -57,18 +59,20 @@ class Factor(NamedTuple):
 
 
 def eliminate(
-    link: LinkConstants, S: Motion, X: Transform, I_A: ArticulatedInertia
+    link: LinkConstants, joint: JointMotion, X: Transform, I_A: ArticulatedInertia
 ) -> tuple[ArticulatedInertia, Factor]:
     """Eliminate a joint. Return the articulated inertia that remains across it, and its factor."""
-    U = I_A(S)
-    D = add(S.dot(U), link.armature)
+    S, modal = joint.S, joint.modal
+    U = I_A(S) + modal.coupling
+    more = add(link.armature, add(modal.mass, S.dot(modal.coupling)))
+    D = add(S.dot(U), more)
     if is_zero(D):
         raise ModelError(
             "a joint of the model moves no mass, so the mass matrix is singular; give its body "
             "mass and inertia (bodies.mass, bodies.inertia), or the joint armature"
         )
     inverse_D = 1.0 / D
-    return I_A.without(U, inverse_D, S, link.armature), Factor(X, S, U, inverse_D)
+    return I_A.without(U, inverse_D, S, more), Factor(X, S, U, inverse_D)
 
 
 def to_parent(
@@ -87,10 +91,12 @@ def to_parent(
     return turned.shifted(X.p)
 
 
-def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -> Lane | None:
+def rigid_mass(
+    link: LinkConstants, joint: JointMotion, I_children: ArticulatedInertia
+) -> Lane | None:
     """Return the mass of a link that has a hinge and no children, or None for any other link."""
-    tip = all(is_zero(x) for x in jax.tree.leaves((I_children, S.lin)))
-    return link.inertia.m if tip else None
+    tip = all(is_zero(x) for x in jax.tree.leaves((I_children, joint.S.lin)))
+    return joint.inertia(link).m if tip else None
 
 
 def aba(
@@ -106,11 +112,12 @@ def aba(
 
     def inward(x, message):
         (link, joint, tau, push), motion = x
-        p_A = link.inertia.bias_force(motion.w) - push + message[1]
-        I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
-        u = sub(tau, joint.S.dot(p_A))
+        inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(motion.w)
+        p_A = inertia.bias_force(motion.w) + f - push + message[1]
+        I_a, factor = eliminate(link, joint, motion.X, inertia.articulated() + message[0])
+        u = sub(sub(tau, joint.S.dot(p_A)), modal)
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
-        mass = rigid_mass(link, joint.S, message[0])
+        mass = rigid_mass(link, joint, message[0])
         return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
 
     zero = (ArticulatedInertia.zero(), Force.zero())
@@ -135,8 +142,8 @@ def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
         if more:
             link = replace(link, armature=add(link.armature, more[0]))
         X = joint.transform(link)
-        I_a, factor = eliminate(link, joint.S, X, link.inertia.articulated() + I_children)
-        return to_parent(X, I_a, factor, rigid_mass(link, joint.S, I_children)), factor
+        I_a, factor = eliminate(link, joint, X, joint.inertia(link).articulated() + I_children)
+        return to_parent(X, I_a, factor, rigid_mass(link, joint, I_children)), factor
 
     given = (d.constants, joints) if extra is None else (d.constants, joints, extra)
     return d.inward(inward, ArticulatedInertia.zero(), d.zip(*given))

@@ -37,7 +37,7 @@ UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 
 
 def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Compute the row of each link for the derivatives of inverse dynamics."""
+    """Compute the inputs of the second kernel for inverse dynamics: a row of numbers per link."""
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
     poses = tree_poses(d, joints)
@@ -59,7 +59,10 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
 
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
-    """Compute the rows for the derivatives of forward dynamics, from `accelerations` (`found`)."""
+    """Compute the inputs of the last kernel for forward dynamics: a row of numbers per link.
+
+    found: the result of `accelerations`.
+    """
     d = driver(model, q.dtype)
     a, inverse_D, *U = map(d.lanes, found)
     joints = d.joints(q, None)
@@ -132,7 +135,7 @@ def forward_by_columns(
 
 
 def forward_columns(model: Model, rows: jax.Array) -> tuple[jax.Array, ...]:
-    """Compute the derivatives of forward dynamics from the rows of the links (`forward_rows`)."""
+    """Compute the derivatives of forward dynamics from the result of `forward_rows`."""
     inward, outward = batch_first((rows, rows))
 
     def column(own, places, unit):

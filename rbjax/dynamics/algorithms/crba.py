@@ -28,11 +28,11 @@ from rbjax.spatial import Force, RigidInertia
 def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
     """Run one inward step. Return the pose of a link in its parent, I_c and F = I_c S."""
     link, joint = x
-    I_c = link.inertia + children
-    return joint.transform(link), I_c, I_c(joint.S)
+    I_c = joint.inertia(link) + children
+    return joint.transform(link), I_c, I_c(joint.S) + joint.modal.coupling
 
 
-def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
+def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     """Compute M as rows of lanes. Each F is transformed to the root separately."""
 
     def step(x, children):
@@ -40,12 +40,14 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
         return X.rigid_to_parent(I_c), (X, F)
 
     ys = d.whole(d.inward(step, RigidInertia.zero(), d.zip(d.constants, joints)))
-    axes = [joint.S for joint in d.whole(joints)]
+    motions = d.whole(joints)
+    axes = [joint.S for joint in motions]
     armatures = [link.armature for link in d.whole(d.constants)]
+    modes = [joint.modal.momentum(joint.S, 1.0)[1] for joint in motions]
     n = len(axes)
     M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     for i, (X, F) in enumerate(ys):
-        M[i][i] = add(axes[i].dot(F), armatures[i])
+        M[i][i] = add(add(axes[i].dot(F), armatures[i]), modes[i])
         j = i
         while d.topology.parents[j] != WORLD:
             F = fusion_barrier(X.T(F))
@@ -60,14 +62,19 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     d.unroll = 2  # the steps are small
     poses = tree_poses(d, joints)
     S = link_axes(d, poses, joints)
-    I_c = subtree_sums(d, link_inertias(d, poses), RigidInertia.zero())
+    I_c = subtree_sums(d, link_inertias(d, poses, joints), RigidInertia.zero())
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
+    if not d.topology.flexible:
+        return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
+    modal, axes = d.modes(joints)[0], d.whole_axes(joints)
+    F = d.each(lambda F, pose, x: F + pose.T(x.coupling), F, poses, modal)
+    own = d.stack(d.each(lambda x, S: (x.momentum(S, 1.0)[1],), modal, axes), list, like)
+    return with_armature(d, pair_matrix(d, (S, F), (F, S), like) + jnp.diag(own[:, 0]))
 
 
 def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     """Compute the mass matrix M (nv, nv) from the joint motions."""
-    return packed(_listed(d, joints), like) if d.listed else _by_columns(d, joints, like)
+    return packed(mass_matrix_rows(d, joints), like) if d.listed else _by_columns(d, joints, like)
 
 
 @algorithm("q", long=True)

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.algorithms.kinematics import (
+    POSE,
     TWIST,
     body_velocities,
     forward_kinematics,
@@ -57,8 +58,10 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
     def step(x, children):
         link, joint, V = x
-        twice = add(V.dot(link.inertia(V)), mul(link.armature, mul(joint.qd, joint.qd)))
-        return (), twice
+        coupled, along = joint.modal.momentum(V, joint.qd)
+        h = joint.inertia(link)(V) + coupled
+        twice = add(V.dot(h), mul(link.armature, mul(joint.qd, joint.qd)))
+        return (), add(twice, mul(along, joint.qd))
 
     twice = d.inward(step, (), d.zip(d.constants, joints, twists))
     return d.pack(twice, v).sum() / 2
@@ -79,7 +82,11 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
         ()
     """
     _, com, mass = _centres(model, q)
-    return -(mass * (com * model.gravity.astype(q.dtype)).sum(-1)).sum()
+    gravity = model.gravity.astype(q.dtype)
+    energy = -(mass * (com * gravity).sum(-1)).sum()
+    if model.topology.flexible:
+        energy = energy - (_of_modes(model, q)[1] * gravity).sum()
+    return energy
 
 
 @algorithm("q")
@@ -97,7 +104,7 @@ def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
         (3,)
     """
     _, com, mass = _centres(model, q)
-    return (mass[:, None] * com).sum(0) / mass.sum()
+    return _center(model, q, com, mass)
 
 
 @algorithm("q", "v")
@@ -125,9 +132,13 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     inertia = model.bodies.inertia.astype(q.dtype)
     in_body = (poses.R * omega[:, :, None]).sum(-2)
     spin = matvec(matmat(poses.R, inertia), in_body)
-    arm = com - (mass[:, None] * com).sum(0) / mass.sum()
+    center = _center(model, q, com, mass)
     momentum = mass[:, None] * speed
-    return jnp.concatenate([(spin + jnp.cross(arm, momentum)).sum(0), momentum.sum(0)])
+    whole = jnp.concatenate([(spin + jnp.cross(com - center, momentum)).sum(0), momentum.sum(0)])
+    if model.topology.flexible:
+        h = _of_modes(model, q, v)[2]
+        whole = whole + h.at[:3].add(-jnp.cross(center, h[3:]))
+    return whole
 
 
 def _centres(model: Model, q: jax.Array):
@@ -136,6 +147,32 @@ def _centres(model: Model, q: jax.Array):
     bodies = model.bodies
     com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))
     return poses, com, bodies.mass.astype(q.dtype)
+
+
+def _center(model: Model, q: jax.Array, com: jax.Array, mass: jax.Array) -> jax.Array:
+    """Compute the center of mass from the centers and masses of the bodies."""
+    moment, whole = (mass[:, None] * com).sum(0), mass.sum()
+    if model.topology.flexible:
+        modal_mass, modal_moment, _ = _of_modes(model, q)
+        moment, whole = moment + modal_moment, whole + modal_mass
+    return moment / whole
+
+
+def _of_modes(
+    model: Model, q: jax.Array, v: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Sum mass, first moment (3,) and momentum (6,) of all modal inertias, at the origin."""
+    d = driver(model, q.dtype)
+    joints = d.joints(q, v)
+
+    def step(x, _):
+        joint, pose, V = x
+        modal, inertia = joint.modal, pose.rigid_to_parent(joint.modal.rigid)
+        return (), (inertia.m, inertia.h, pose.T(modal.rigid(V) + modal.coupling * joint.qd))
+
+    found = d.outward(step, (), d.zip(joints, *sweep(d, joints, POSE, TWIST)))
+    mass, h, momentum = d.columns(found, jnp.zeros(model.nv, q.dtype))
+    return mass.sum(), jnp.stack([*h], -1).sum(0), jnp.stack([*momentum], -1).sum(0)
 
 
 def momentum_and_rate(
@@ -157,10 +194,14 @@ def momentum_and_rate(
 
     def inward(x, children):
         (link, joint, tau, f_ext), (X, V, g) = x
-        h = link.inertia(V) + children[0]
-        f = link.inertia(Motion(Vec3.zero(), g)) + f_ext + children[1]
-        p = add(joint.S.dot(h), mul(link.armature, joint.qd))
+        inertia, weight = joint.inertia(link), Motion(Vec3.zero(), g)
+        coupled, along = joint.modal.momentum(V, joint.qd)
+        h = inertia(V) + coupled + children[0]
+        f = inertia(weight) + f_ext + children[1]
+        p = add(add(joint.S.dot(h), mul(link.armature, joint.qd)), along)
         rate = add(joint.S.dot(f - V.cross_force(h)), add(joint.S_rate.dot(h), tau))
+        force = joint.modal_slope.kinetic_energy(V, joint.qd)  # dL/dq of the link's own inertia
+        rate = add(rate, add(force, joint.modal.coupling.dot(weight)))
         return (X.T(h), X.T(f)), (p, rate)
 
     d = driver(model, q.dtype)

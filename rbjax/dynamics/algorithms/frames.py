@@ -23,10 +23,10 @@ from rbjax.dynamics.algorithms.rnea import generalized_of_links, wrenches_to_lin
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.errors import InputError
+from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Mat3, Vec3, pack
 from rbjax.model import WORLD, Frame, Model, Topology, prepare
-from rbjax.model.leaves import site_transform
+from rbjax.model.leaves import frame_transform
 from rbjax.spatial import Motion, Transform
 
 #: a path to a frame with more links runs on the model's driver, because unrolled code compiles
@@ -39,18 +39,14 @@ def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int
 
     `where` is the name of the caller in messages. `like` has the dtype of the lanes.
     """
-    body, point, site = frame
-    if (body is None) == (site is None):
-        got = "neither" if body is None else "both"
-        raise InputError(f"{where}: got {got} of body and site, expected exactly one")
-    at = Vec3.zero() if point is None else Vec3(*(point[i] for i in range(3)))
-    if site is not None:
-        i = model.site(site)
-        placed = site_transform(model, i, like.dtype)
-        at = placed.p + placed.R @ at
-        return model.topology.site_bodies[i], Transform(placed.R, at)
-    fixed = body == "world" and body not in model.body_names  # MuJoCo's name for the fixed frame
-    return WORLD if body is None or fixed else model.body(body), Transform(Mat3.identity(), at)
+    if isinstance(frame.body, Frame):  # of a geom or a center of mass
+        frame = frame.body._replace(point=frame.point)
+    try:
+        return frame_transform(model, frame, like.dtype)
+    except UnknownName:
+        raise
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def locate_on_link(

@@ -77,7 +77,7 @@ ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
-    """Return `ACCELERATION` for a base with the acceleration a, which is -g for gravity g."""
+    """Return the quantity `ACCELERATION` for a base with acceleration a, or -g for gravity g."""
     return ACCELERATION._replace(root=(Vec3.zero(), a))
 
 
@@ -252,7 +252,9 @@ class LinkMotion:
         return joint.transform(constants), joint.S
 
     def axis(self, link: int) -> Motion:
-        """Return the axis S of a link in its own axes, for drivers whose whole form is columns."""
+        """Return the axis S of a link in its own axes."""
+        if self.driver.listed:
+            return self._links[link][0].S
         if self.driver.topology.constant_axes:
             kind = self.driver.topology.dofs[link].kind
             return kind.axis(self.driver.prepared.link(link).params)

@@ -17,6 +17,7 @@ from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transfor
 from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
 from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.errors import ModelError
 from rbjax.lanes import Mat3, Vec3, add, batch_first, mul
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, Transform
@@ -48,7 +49,7 @@ def regressor_factors(
 
 
 def _moved_by(model: Model) -> np.ndarray:
-    """Return the mask (nv, 10 nb) of entries whose link moves the body of the parameter."""
+    """Return the mask (nv, 10 nb) of the regressor: true where the row's dof moves the body."""
     moved = np.stack([ancestor_mask(model.topology, i) for i in model.topology.body_links])
     return np.repeat(moved.T, 10, 1)
 
@@ -78,6 +79,9 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         v: (nv,) velocity.
         a: (nv,) acceleration.
 
+    Raises:
+        ModelError: a link has a modal inertia.
+
     Source: Khalil & Dombre, ch. 12; Atkeson, An & Hollerbach (1986).
 
     Example:
@@ -87,6 +91,12 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         >>> rb.inertial_regressor(model, s.q, s.v, s.v).shape
         (2, 20)
     """
+    if model.topology.flexible:
+        raise ModelError(
+            "inertial_regressor: a link of the model has a modal inertia, which its ten inertial "
+            "parameters do not describe; differentiate inverse_dynamics by the parameters of the "
+            "joint (joints.params) instead"
+        )
     if not model.nv:
         return jnp.zeros((0, 10 * model.nb), q.dtype)
     S, wrenches = regressor_factors(model, q, v, a)

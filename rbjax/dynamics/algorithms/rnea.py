@@ -1,7 +1,7 @@
 """Recursive Newton-Euler algorithm: inverse dynamics in O(n) (Luh, Walker & Paul 1980).
 
     outward   w = E w_p + rate;   a = X(a_p) + c + S qdd       (classical accelerations)
-              f = I a + [w x J w; w x (w x h)] - f_ext
+              f = I a + [w x J w; w x (w x h)] - f_ext            (and a mode's: joints/modal.py)
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
 
 Gravity is an acceleration of the base, a_0 = -g. An external force f_ext is in the axes of its link
@@ -95,11 +95,17 @@ def _to_link(R: Mat3, arm: Vec3, wrench: Force) -> Force:
 
 
 def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
-    """Run one outward step of RNEA: pose of a link in its parent, and I a + bias force - f_ext."""
+    """Run one outward step of RNEA.
+
+    Return the pose of a link in its parent, I a + bias force - f_ext, and the modal joint force.
+    """
     link, joint, qdd, f_ext = x
     X = joint.transform(link)
     w, a = ACCELERATION.step(Hop(X, joint, qdd), parent)
-    return (w, a), (X, link.inertia(a) + link.inertia.bias_force(w) - f_ext)
+    inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(w)
+    coupled, along = joint.modal.momentum(a, qdd)
+    f = inertia(a) + inertia.bias_force(w) + (coupled + f) - f_ext
+    return (w, a), (X, f, add(along, modal))
 
 
 def rnea(
@@ -108,9 +114,9 @@ def rnea(
     """Compute the generalized forces from the joint accelerations, both per link."""
 
     def inward(x, children):
-        (link, joint, qdd, _), (X, f) = x
+        (link, joint, qdd, _), (X, f, modal) = x
         f = f + children
-        return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
+        return X.T(f), add(add(joint.S.dot(f), mul(link.armature, qdd)), modal)
 
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.out_and_in(newton_euler, _root(gravity), inward, Force.zero(), xs)
@@ -119,7 +125,8 @@ def rnea(
 def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Compute the pose of each link in its parent, and I a + bias force - f_ext, per link."""
+    """Compute the pose of each link in its parent, I a + bias force - f_ext, and the joint force of
+    its mode, per link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 

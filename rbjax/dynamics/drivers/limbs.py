@@ -209,8 +209,9 @@ class Limbs(unrolled.ListDriver):
     def _each_group(
         self, limb: Callable, zero: Any, xs: Parts, carries: list | None, root: Any
     ) -> tuple[list, list]:
-        """Run message, ys = limb(group, xs, carry of the trunk link, known) for every limb.
+        """Call limb(group, xs, carry, known) -> (message, ys) for every limb.
 
+        carry belongs to the trunk link to which the limb is attached; it is `root` at the base.
         Return the sum of the messages to each link of the trunk, and the columns of ys.
         """
         sums, out = [zero] * len(self._trunk), []

@@ -21,7 +21,16 @@ import numpy as np
 
 from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion
 from rbjax.dynamics.drivers.loop import Constants, Iteration, JointColumns, Parts, PoseLane, loop
-from rbjax.joints import HINGE, SLIDE, DofKind, JointMotion, NodeMotion, PosedJoint, hinge_motion
+from rbjax.joints import (
+    HINGE,
+    SLIDE,
+    DofKind,
+    JointMotion,
+    ModalMotion,
+    NodeMotion,
+    PosedJoint,
+    hinge_motion,
+)
 from rbjax.lanes import (
     Lane,
     Vec3,
@@ -303,7 +312,9 @@ def joint_columns(
         moves = jnp.where(slide, at, 0.0)
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
     varying = not all(link.kind.constant_axis for link in links)
-    motion = NodeMotion.of(motion) if varying else motion
+    flexible = any(link.kind.modal for link in links)
+    general = ModalMotion.of if flexible else NodeMotion.of if varying else lambda motion: motion
+    motion = general(motion)
 
     def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
         """Replace the rows of one kind in the motion."""
@@ -317,8 +328,7 @@ def joint_columns(
             lambda x: stacked(x[rows + start].reshape(-1, *batch), q.dtype), prepared.columns
         )
         own = kind.motion(qs, vs, constants)
-        own = NodeMotion.of(own) if varying else own
-        return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
+        return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, general(own))
 
     # replace the rows of all other kinds, except dofs that are rigid to the previous dof
     others: dict[DofKind, list[int]] = {}

@@ -31,7 +31,7 @@ from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Frame, Model, with_constants
 
 #: the arguments that are static: they determine the program
-STATIC = ("body", "site", "integrator", "dynamics", "constraints")
+STATIC = ("body", "site", "integrator", "dynamics", "constraints", "contact")
 #: the number of programs that an algorithm caches for functions of a user (dynamics, integrators)
 PROGRAMS_OF_FUNCTIONS = 64
 
@@ -109,7 +109,7 @@ def algorithm(
             if isinstance(frame := bound.arguments.get("body"), Frame):
                 if others := [n for n in ("point", "site") if bound.arguments.get(n) is not None]:
                     raise InputError(f"{name}: got a Frame and {others[0]}, expected one")
-                bound.arguments.update(frame._asdict())
+                bound.arguments.update(frame.arguments())
             asked = [n for n in functions if callable(bound.arguments.get(n))]
             given = {n: x for n, x in bound.arguments.items() if n in names and n not in asked}
             bound.arguments.update(check_arrays(name, model, given, (), required))

@@ -20,9 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.forces.actuators.activation import Activation, Muscle, clip
-from rbjax.forces.actuators.transmissions import JointAxis, Reach, SiteWrench, Transmission
+from rbjax.forces.actuators.transmissions import (
+    JointAxis,
+    SiteWrench,
+    TendonLength,
+    Transmission,
+)
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.reach import Reach
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
@@ -124,12 +130,29 @@ class Actuator(Element):
     def actuates(self) -> bool:
         return True
 
-    def loads(self, context: Context) -> Loads:
-        seen = self._signals(context)
+    def output(self, context: Context) -> Lane:
+        """Compute the scalar force, which the moment arms of the transmission multiply."""
+        return self._output(self._signals(context), context.scales.get(self.tendon, 1.0))
+
+    def _output(self, seen: Signals, scale: Lane) -> Lane:
         limits = table(self.forcerange, seen.dtype)[None]
         force = jnp.asarray(self.law.force(seen), seen.dtype)
-        force = add(clip(force, limits, 0), self.law.friction(seen))
+        force = mul(force, scale)
+        return add(clip(force, limits, 0), self.law.friction(seen))
+
+    def loads(self, context: Context) -> Loads:
+        seen = self._signals(context)
+        force = self._output(seen, context.scales.get(self.tendon, 1.0))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
+
+    @property
+    def tendon(self) -> int:
+        """The tendon that the actuator pulls, or -1."""
+        return self.transmission.tendon if isinstance(self.transmission, TendonLength) else -1
+
+    def force(self, context: Context) -> Lane:
+        """Compute the force of the law, before the limits of its range."""
+        return jnp.asarray(self.law.force(self._signals(context)), context.q.dtype)
 
     def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:
         """Compute the implicit stiffness of servos and dampers on joints other than attitudes. It

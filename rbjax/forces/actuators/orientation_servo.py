@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators.activation import Activation, clip
-from rbjax.forces.actuators.transmissions import Arms, add_arms, arms_between, relative_quaternion
+from rbjax.forces.actuators.transmissions import relative_quaternion
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.reach import Arms, add_arms, arms_between
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
 from rbjax.model.leaves import numbers, table
 from rbjax.rotations import quaternion

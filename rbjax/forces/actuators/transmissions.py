@@ -10,36 +10,19 @@ sites have no moment arm.
 from __future__ import annotations
 
 import abc
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax.forces.context import Context, Frame
-from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub, total
+from rbjax.forces.reach import Reach, arms_between, opposed_arms
+from rbjax.forces.tendons.paths import tendon_reach
+from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.model import Record
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force
-
-#: moment arms by dof
-Arms = dict[int, Lane]
-
-
-class Reach(NamedTuple):
-    """The length of a transmission and its moment arms."""
-
-    length: Lane
-    arms: Arms
-
-    def speed(self, context: Context) -> Lane:
-        """Compute the rate l' of the length."""
-        return total(mul(arm, context.v[n]) for n, arm in self.arms.items())
-
-    def scaled(self, gear: Lane) -> Reach:
-        """Multiply the length and the moment arms by a gear ratio."""
-        return Reach(mul(gear, self.length), {n: mul(gear, arm) for n, arm in self.arms.items()})
 
 
 class Transmission(Record):
@@ -51,7 +34,7 @@ class Transmission(Record):
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         """Compute the change of the length over a full turn, if the length is an angle."""
-        raise TypeError(f"the length of {type(self).__name__} is no angle")
+        raise TypeError(f"the length of {type(self).__name__} is not an angle")
 
 
 class JointAxis(Transmission):
@@ -136,41 +119,14 @@ class SliderCrank(Transmission):
         return Reach(length, arms).scaled(numbers(self.gear, dtype)[0])
 
 
-class JointSum(Transmission):
-    """A fixed tendon: l = gear sum of c_k q_k over hinges and slides."""
+class TendonLength(Transmission):
+    """The length of a tendon: l = gear times the length of `model.tendons`."""
 
     gear: jax.Array
-    coefficients: jax.Array
-    joints: tuple[int, ...] = eqx.field(static=True)
+    tendon: int = eqx.field(static=True)
 
     def reach(self, context: Context) -> Reach:
-        top, out = context.model.topology, Reach(0.0, {})
-        for c, j in zip(numbers(self.coefficients, context.q.dtype), self.joints, strict=True):
-            length = add(out.length, mul(c, context.q[top.joint_q[j]]))
-            out = Reach(length, add_arms(out.arms, {top.joint_v[j]: c}))
-        return out.scaled(numbers(self.gear, context.q.dtype)[0])
-
-
-class SitePath(Transmission):
-    """A spatial tendon through sites: l = gear sum of |p_b - p_a| / divisor over its segments."""
-
-    gear: jax.Array
-    divisors: jax.Array
-    segments: tuple[tuple[int, int], ...] = eqx.field(static=True)
-
-    def reach(self, context: Context) -> Reach:
-        dtype, out = context.q.dtype, Reach(0.0, {})
-        for divisor, (a, b) in zip(numbers(self.divisors, dtype), self.segments, strict=True):
-            start, end = context.site(a), context.site(b)
-            r = end.position - start.position
-            square = jnp.asarray(r.dot(r), dtype)
-            some = square > 0
-            length = jnp.sqrt(jnp.where(some, square, 1.0))
-            e = r * jnp.where(some, 1 / (divisor * length), 0.0)
-            arms = arms_between(end, start, e, Vec3.zero())
-            length = jnp.where(some, length, 0.0) / divisor
-            out = Reach(add(out.length, length), add_arms(out.arms, arms))
-        return out.scaled(numbers(self.gear, dtype)[0])
+        return tendon_reach(context, self.tendon).scaled(numbers(self.gear, context.q.dtype)[0])
 
 
 def joint_reach(context: Context, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
@@ -195,22 +151,6 @@ def relative_quaternion(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -
     """Compute the quaternion of a frame's attitude in the axes of another, not normalized."""
     R = base.rotation.T @ site.rotation
     return quaternion.from_matrix_lanes([jnp.asarray(x, dtype) for x in R])
-
-
-def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
-    """Compute the moment arms of a force and torque (world axes) on `site` and of their reaction on
-    `base`."""
-    return opposed_arms(site.world_arms(force, torque), base.world_arms(-force, -torque))
-
-
-def opposed_arms(a: Arms, b: Arms) -> Arms:
-    """Merge the moment arms of two branches, without the joints that carry both."""
-    return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
-
-
-def add_arms(a: Arms, b: Arms) -> Arms:
-    """Add two sets of moment arms."""
-    return {n: add(a.get(n, 0.0), b.get(n, 0.0)) for n in a | b}
 
 
 def split_gear(gear: list[Lane]) -> tuple[Vec3, Vec3]:

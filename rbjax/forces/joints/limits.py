@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Joint
+from rbjax.forces.context import Context, JointState
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, sub, total
 from rbjax.model import Model
@@ -97,7 +97,7 @@ class JointLimits(Element):
             for n, _, depth, _ in self._stops(context)
         )
 
-    def _stops(self, context: Context) -> Iterator[tuple[int, Joint, Lane, list[Lane]]]:
+    def _stops(self, context: Context) -> Iterator[tuple[int, JointState, Lane, list[Lane]]]:
         """Iterate over the stops: index of the joint among the fields, joint, penetration, and the
         direction of increasing penetration."""
         given = (context.model.joints.range, self.stiffness, self.margin)
@@ -143,7 +143,7 @@ def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
     return k * where(p < w, p * p * p / (6 * w), (p * p - p * w) / 2 + w * w / 6)
 
 
-def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
+def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
     """Return a joint's coordinate and its gradient by the dofs."""
     if len(joint.q) == 1:
         return joint.q[0], [1.0]

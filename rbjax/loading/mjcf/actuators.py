@@ -16,16 +16,15 @@ from rbjax.forces.actuators.actuator import Actuator, Affine, GainBias, from_col
 from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.actuators.transmissions import (
     JointAxis,
-    JointSum,
-    SitePath,
     SitePose,
     SiteWrench,
     SliderCrank,
+    TendonLength,
     Transmission,
 )
 from rbjax.loading.checks import check_finite
 from rbjax.loading.mjcf import actuator_laws as laws
-from rbjax.loading.mjcf.fields import Gain, Off, Trn, Wrap, is_off, is_on, leaf, reason_left_out
+from rbjax.loading.mjcf.fields import Gain, Off, Trn, is_off, is_on, leaf, reason_left_out
 from rbjax.loading.write.draft import Draft, text
 
 _GROUP_OFF = 30  # group of controls without an actuator, disabled in the written file
@@ -59,17 +58,8 @@ def _element(m: mujoco.MjModel, i: int) -> Element:
     ctrlrange = leaf(np.where(limited, m.actuator_ctrlrange[rows], [-np.inf, np.inf]))
     if m.actuator_gaintype[i] == Gain.SO3:
         return _orientation_servo(m, i, controls, ctrlrange)
-    law = laws.read_law(m, i)
-    return Actuator(_transmission(m, i), law, ctrlrange, _forcerange(m, i), controls)
-
-
-def _forcerange(m: mujoco.MjModel, i: int) -> jax.Array:
-    """Return the force range of an actuator, clipped to the range of its tendon."""
-    own = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else np.array([-np.inf, np.inf])
-    tendon = m.actuator_trnid[i, 0]
-    if m.actuator_trntype[i] == Trn.TENDON and m.tendon_actfrclimited[tendon]:
-        return leaf(np.clip(m.tendon_actfrcrange[tendon], *own))
-    return leaf(own)
+    own = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else [-np.inf, np.inf]
+    return Actuator(_transmission(m, i), laws.read_law(m, i), ctrlrange, leaf(own), controls)
 
 
 def _transmission(m: mujoco.MjModel, i: int) -> Transmission:
@@ -81,25 +71,7 @@ def _transmission(m: mujoco.MjModel, i: int) -> Transmission:
         return SiteWrench(gear, target) if other < 0 else SitePose(gear, target, other)
     if kind == Trn.SLIDERCRANK:
         return SliderCrank(gear, leaf(m.actuator_cranklength[i]), target, other)
-    return _tendon(m, target, gear)
-
-
-def _tendon(m: mujoco.MjModel, tendon: int, gear: jax.Array) -> Transmission:
-    at = int(m.tendon_adr[tendon])
-    rows = slice(at, at + int(m.tendon_num[tendon]))
-    kinds, things, given = m.wrap_type[rows], m.wrap_objid[rows], m.wrap_prm[rows]
-    if (kinds == Wrap.JOINT).all():
-        return JointSum(gear, leaf(given), tuple(int(j) for j in things))
-    segments, divisors, divisor, last = [], [], 1.0, -1
-    for kind, thing, number in zip(kinds, things, given, strict=True):
-        if kind == Wrap.PULLEY:
-            divisor, last = float(number), -1
-            continue
-        if last >= 0:
-            segments.append((last, int(thing)))
-            divisors.append(divisor)
-        last = int(thing)
-    return SitePath(gear, leaf(divisors), tuple(segments))
+    return TendonLength(gear, target)
 
 
 def _orientation_servo(
@@ -158,7 +130,7 @@ def _shortest(row: Actuator) -> Actuator:
 def _write_unused(draft: Draft, name: str) -> None:
     """Write a disabled actuator for an unused control, so that the indices of controls are kept."""
     if not draft.joints:
-        draft.note("controls that drive nothing, left out for want of a joint", [name])
+        draft.note("unused controls, left out because the model has no joint", [name])
         return
     draft.option.set("actuatorgroupdisable", str(_GROUP_OFF))
     ET.SubElement(
@@ -204,32 +176,11 @@ def _write_transmission(draft: Draft, x: Transmission) -> dict[str, str]:
     elif isinstance(x, SliderCrank):
         ends = {"cranksite": draft.sites[x.crank], "slidersite": draft.sites[x.slider]}
         ends["cranklength"] = text(x.rod)
-    elif isinstance(x, (JointSum, SitePath)):
-        ends = {"tendon": f"tendon{len(draft.tendon)}"}
-        _write_tendon(draft, ends["tendon"], x)
+    elif isinstance(x, TendonLength):
+        ends = {"tendon": draft.tendons[x.tendon]}
     else:
         raise TypeError(f"no MJCF form of the transmission {type(x).__name__}")
     return ends | {"gear": laws.shortened(x.gear)}
-
-
-def _write_tendon(draft: Draft, name: str, x: JointSum | SitePath) -> None:
-    """Write a tendon. A path is written as its sites in order, with a pulley where a segment does
-    not begin at the end of the previous one."""
-    if isinstance(x, JointSum):
-        tendon = ET.SubElement(draft.tendon, "fixed", name=name)
-        for joint, c in zip(x.joints, x.coefficients, strict=True):
-            ET.SubElement(tendon, "joint", joint=draft.joint(joint), coef=text(c))
-        return
-    tendon = ET.SubElement(draft.tendon, "spatial", name=name)
-    last, divisor = -1, 1.0
-    for (a, b), own in zip(x.segments, x.divisors, strict=True):
-        if own != divisor or (last >= 0 and last != a):
-            ET.SubElement(tendon, "pulley", divisor=text(own))
-            last, divisor = -1, own
-        if last < 0:
-            ET.SubElement(tendon, "site", site=draft.sites[a])
-        ET.SubElement(tendon, "site", site=draft.sites[b])
-        last = b
 
 
 def _write_servo(draft: Draft, entry: ET.Element, servo: OrientationServo) -> OrientationServo:

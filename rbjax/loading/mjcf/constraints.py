@@ -66,8 +66,8 @@ def _refuse_nan(m: mujoco.MjModel, i: int) -> None:
     if bad.size:
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, i) or i
         raise ModelError(
-            f"equality {name!r} has {bad[0]} among its numbers, which is not finite; correct that "
-            "number in the file"
+            f"equality {name!r} has the value {bad[0]}, which is not finite; correct that value "
+            "in the file"
         )
 
 

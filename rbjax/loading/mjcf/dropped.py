@@ -9,7 +9,9 @@ import numpy as np
 
 from rbjax.errors import listed
 from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
-from rbjax.loading.mjcf.fields import Off, is_at_joint, is_on, reason_left_out
+from rbjax.loading.mjcf.fields import Off, is_at_joint, is_at_tendon, is_on, reason_left_out
+from rbjax.loading.mjcf.sensors import read_sensors
+from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendon_armature
 
 _SHOWN = 4  # names listed before "and N more"
 #: prefix of entries about inverted limits
@@ -30,7 +32,7 @@ _CURES = {
     "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
-    "sensors": "rbjax.sysid.Setup.with_sensors adds sensors",
+    "sensors of the kind user": "rbjax.sensors.CustomSensor measures a function",
 }
 
 
@@ -70,25 +72,30 @@ def dropped_features(
         note("joint friction loss", rubs, obj.mjOBJ_JOINT)
     for why, which in _equalities_left_out(m, constraints=constraints).items():
         note(why, which, obj.mjOBJ_EQUALITY)
-    note("tendons", [not tendon_is_supported(m, i) for i in range(m.ntendon)], obj.mjOBJ_TENDON)
+    tendon = obj.mjOBJ_TENDON
+    note("tendon limits", limited_tendons(m), tendon)
+    note("tendon friction loss", rubbing_tendons(m), tendon)
+    note("tendon armature", tendon_armature(m) != 0, tendon)
     note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
+    note("plastic tendon springs", m.tendon_plasticadr >= 0, tendon)
     left_out = [reason_left_out(m, i) for i in range(m.nactuator)]
     for why in dict.fromkeys(filter(None, left_out)):
         note(f"actuators: {why}", [why == reason for reason in left_out], obj.mjOBJ_ACTUATOR)
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
-    at_joint = np.array([is_at_joint(m, i) for i in range(m.nactuator)], bool)
-    what = "damping and armature of actuators at tendons"
-    note(what, extra & ~at_joint, obj.mjOBJ_ACTUATOR)
+    at = [is_at_joint(m, i) or is_at_tendon(m, i) for i in range(m.nactuator)]
+    elsewhere = ~np.array(at, bool)
+    note("damping and armature of actuators at sites", extra & elsewhere, obj.mjOBJ_ACTUATOR)
     return (*out, *["plugins"] * bool(m.nplugin))
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the entries of `Model.dropped` about sensors and cameras, which are not loaded."""
+    """Return the entries of `Model.dropped` about cameras, and about sensors that are not read."""
     obj = mujoco.mjtObj
-    kinds = (("sensors", obj.mjOBJ_SENSOR, m.nsensor), ("cameras", obj.mjOBJ_CAMERA, m.ncam))
-    return tuple(_named(what, m, kind, range(n)) for what, kind, n in kinds if n)
+    kinds = read_sensors(m)[1]
+    out = [_named(what, m, obj.mjOBJ_SENSOR, which) for what, which in kinds.items()]
+    return (*out, *[_named("cameras", m, obj.mjOBJ_CAMERA, range(m.ncam))] * bool(m.ncam))
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
@@ -135,19 +142,6 @@ def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, n
         "equality constraints of flexes": active & ~loaded & ~tendons,
         "equality constraints that are not active": ~active,
     }
-
-
-def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Check whether tendon i only transmits the forces of actuators, or is only a spring and a
-    damper between two sites."""
-    start, count, solved = m.tendon_adr[i], m.tendon_num[i], Off.mjDSBL_CONSTRAINT
-    limited = m.tendon_limited[i] and is_on(m, solved, Off.mjDSBL_LIMIT)
-    rubs = m.tendon_frictionloss[i] and is_on(m, solved, Off.mjDSBL_FRICTIONLOSS)
-    sites = m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)
-    polynomials = (*m.tendon_stiffnesspoly[i], *m.tendon_dampingpoly[i])
-    pulls = any((m.tendon_stiffness[i], m.tendon_damping[i], *polynomials))
-    held = limited or rubs or m.tendon_armature[i]
-    return bool(not held and (not pulls or (count == 2 and sites.all())))
 
 
 def _may_collide(m: mujoco.MjModel) -> bool:

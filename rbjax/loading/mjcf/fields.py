@@ -12,6 +12,8 @@ import numpy as np
 
 #: flags by which a file disables features
 Off = mujoco.mjtDisableBit
+#: quaternion of no rotation
+ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def members(enum: Any) -> SimpleNamespace:
@@ -76,6 +78,11 @@ def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
     return m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT)
 
 
+def is_at_tendon(m: mujoco.MjModel, i: int) -> bool:
+    """Check whether actuator i pulls a tendon."""
+    return bool(m.actuator_trntype[i] == Trn.TENDON)
+
+
 def is_circular(m: mujoco.MjModel, i: int) -> bool:
     """Check whether actuator i is a position servo on an angle with setpoints modulo full turns."""
     servo = m.actuator_gaintype[i] == Gain.PID or (
@@ -94,23 +101,25 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
     return bool(servo and angle)
 
 
+def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
+    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
+    if same == int(kinds.mjSAMEFRAME_BODY):
+        return np.zeros(3), ALIGNED
+    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
+    return m.body_ipos[b], m.body_iquat[b] if turned else ALIGNED
+
+
 def reason_left_out(m: mujoco.MjModel, i: int) -> str:
     """Return the reason why actuator i is not supported; empty if it is supported."""
-    transmission, tendon = m.actuator_trntype[i], m.actuator_trnid[i, 0]
     if is_off(m, i):
         return ""
     if m.actuator_delay[i]:
         return "delays of controls"
     if m.actuator_plugin[i] >= 0 or not _law_is_known(m, i):
         return "laws of a plugin or callback"
-    if transmission == Trn.BODY:
+    if m.actuator_trntype[i] == Trn.BODY:
         return "adhesion, which needs contacts"
-    if transmission == Trn.TENDON:
-        if _wraps(m, tendon):
-            return "tendons that wrap around geoms"
-        several = (m.actuator_trntype == Trn.TENDON) & (m.actuator_trnid[:, 0] == tendon)
-        if m.tendon_actfrclimited[tendon] and several.sum() > 1:
-            return "several on a tendon that limits their sum"
     return ""
 
 
@@ -142,12 +151,6 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
         and gain in (Gain.FIXED, Gain.AFFINE, Gain.MUSCLE)
         and bias in (Bias.NONE, Bias.AFFINE, Bias.MUSCLE)
     )
-
-
-def _wraps(m: mujoco.MjModel, tendon: int) -> bool:
-    at = int(m.tendon_adr[tendon])
-    kinds = m.wrap_type[at : at + int(m.tendon_num[tendon])]
-    return bool(np.isin(kinds, (Wrap.SPHERE, Wrap.CYLINDER)).any())
 
 
 def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Force elements of a compiled model: joints, gravity compensation, tendons, fluid.
+"""Force elements of a compiled model: joints, gravity compensation, fluid.
 
 Limits and friction loss are soft constraints in MuJoCo:
 
@@ -32,13 +32,19 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
-    Place,
-    PointSpring,
 )
 from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
-from rbjax.loading.mjcf.dropped import inverted_limits, tendon_is_supported
-from rbjax.loading.mjcf.fields import Off, is_on, leaf, reflected, safe_solref
+from rbjax.loading.mjcf.dropped import inverted_limits
+from rbjax.loading.mjcf.fields import (
+    ALIGNED,
+    Off,
+    inertial_frame,
+    is_on,
+    leaf,
+    reflected,
+    safe_solref,
+)
 
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
@@ -50,7 +56,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
         found += _limits(m)
     if friction and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_FRICTIONLOSS):
         found += _friction(m)
-    found += [*_gravity_compensation(m), *_tendons(m), *fluid_elements(m)]
+    found += [*_gravity_compensation(m), *fluid_elements(m)]
     for element in found:
         check_finite(element)
     return tuple(found)
@@ -85,8 +91,10 @@ def _limits(m: mujoco.MjModel) -> list[Element]:
 
 
 def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
-    """Compute stiffness, damping and width of the stop of a joint. The width is a tenth of the
-    impedance's width."""
+    """Compute stiffness, damping and width of the stop of a joint.
+
+    The width is a tenth of the width of `solimp`.
+    """
     mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
     width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
     solref, solimp = safe_solref(m, m.jnt_solref[joint]), m.jnt_solimp[joint]
@@ -138,24 +146,7 @@ def _gravity_compensation(m: mujoco.MjModel) -> list[Element]:
     return found
 
 
-def _tendons(m: mujoco.MjModel) -> list[Element]:
-    """Read the springs and dampers of spatial tendons between two sites."""
-    found: list[Element] = []
-    for i in filter(lambda i: tendon_is_supported(m, i), range(m.ntendon)):
-        stiffness = np.array([m.tendon_stiffness[i], *m.tendon_stiffnesspoly[i]])
-        damping = np.array([m.tendon_damping[i], *m.tendon_dampingpoly[i]])
-        stiffness *= is_on(m, Off.mjDSBL_SPRING)
-        damping *= is_on(m, Off.mjDSBL_DAMPER)
-        if stiffness.any() or damping.any():
-            start = m.tendon_adr[i]
-            a, b = (Place.on(site=int(s)) for s in m.wrap_objid[start : start + 2])
-            numbers = (stiffness, damping, m.tendon_lengthspring[i])
-            found.append(PointSpring(a, b, *map(jnp.asarray, numbers)))
-    return found
-
-
 Array = np.ndarray
-_ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
@@ -215,23 +206,14 @@ def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
     return np.array(axes.get(int(m.geom_type[g]), m.geom_size[g]))
 
 
-def inertial_frame(m: mujoco.MjModel, b: int) -> tuple[Array, Array]:
-    """Return the inertial frame of a body; MuJoCo uses the body frame if they agree within 1e-6."""
-    same, kinds = int(m.body_sameframe[b]), mujoco.mjtSameFrame
-    if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
-    turned = same != int(kinds.mjSAMEFRAME_BODYROT)
-    return m.body_ipos[b], m.body_iquat[b] if turned else _ALIGNED
-
-
 def _geom_frame(m: mujoco.MjModel, g: int) -> tuple[Array, Array]:
     """Return the frame of a geom in its body as MuJoCo uses it."""
     same, kinds = int(m.geom_sameframe[g]), mujoco.mjtSameFrame
     position, attitude = inertial_frame(m, m.geom_bodyid[g])
     if same == int(kinds.mjSAMEFRAME_BODY):
-        return np.zeros(3), _ALIGNED
+        return np.zeros(3), ALIGNED
     if same == int(kinds.mjSAMEFRAME_INERTIA):
         return position, attitude
     if same == int(kinds.mjSAMEFRAME_BODYROT):
-        return m.geom_pos[g], _ALIGNED
+        return m.geom_pos[g], ALIGNED
     return m.geom_pos[g], attitude if same == int(kinds.mjSAMEFRAME_INERTIAROT) else m.geom_quat[g]

@@ -32,8 +32,8 @@ from rbjax.loading.urdf.inertials import Inertial, add_placeholder, read_inertia
 from rbjax.loading.urdf.shapes import add_primitives, add_shapes
 from rbjax.loading.urdf.tree import (
     GROUND,
-    Joint,
     Tree,
+    UrdfJoint,
     left_out,
     number,
     origin,
@@ -138,24 +138,24 @@ def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
     if not mass:
         raise ModelError(
             f"{name}: floating_base=True, but the root link 'world' and the links that are "
-            f"fixed to it have no mass, and nothing floats without: the link named 'world' is "
-            f"the ground; load without floating_base, or give it an <inertial>"
+            f"fixed to it have no mass, which a floating base needs: the link named 'world' "
+            f"is the ground; load without floating_base, or give it an <inertial>"
         )
     own = inertials.pop(GROUND)
     tree.rename_ground()
     inertials[tree.root] = own
 
 
-def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[Joint]:
+def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[UrdfJoint]:
     """List the joints from the ground on, parents before children. A link that floats on a fixed
     root is moved to the ground."""
     children, root = tree.children(), tree.root
     if root != GROUND and floating_base:
-        children[GROUND] = [Joint("floating_base", "floating", GROUND, root)]
+        children[GROUND] = [UrdfJoint("floating_base", "floating", GROUND, root)]
     elif root != GROUND:
         floating = [x for x in children[root] if x.kind == "floating"]
         children[root] = [x for x in children[root] if x.kind != "floating"]
-        children[GROUND] = [*floating, Joint("", "fixed", GROUND, root)]
+        children[GROUND] = [*floating, UrdfJoint("", "fixed", GROUND, root)]
         for joint in floating:
             joint.parent = GROUND
     out, front = [], [GROUND]
@@ -185,7 +185,7 @@ def _settings(robot: ET.Element, name: str) -> mujoco.MjSpec:
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message_of(error)}") from error
 
 
-def _add_joints(body: Any, joint: Joint, at: str) -> None:
+def _add_joints(body: Any, joint: UrdfJoint, at: str) -> None:
     """Add the joints to a body that are equivalent to a joint of the file."""
     element = ET.Element("joint") if joint.element is None else joint.element
     limit, dynamics, axis = (element.find(tag) for tag in ("limit", "dynamics", "axis"))

@@ -80,7 +80,7 @@ def _count(replicate: ET.Element) -> int:
 
 
 @dataclass
-class Joint:
+class UrdfJoint:
     """A joint of a URDF. `element` is its XML element; None for a joint that is not in the file."""
 
     name: str
@@ -95,12 +95,12 @@ class Tree:
     """The links by name, the joints in the order of the file, and the root link."""
 
     links: dict[str, ET.Element]
-    joints: list[Joint]
+    joints: list[UrdfJoint]
     root: str
 
-    def children(self) -> dict[str, list[Joint]]:
+    def children(self) -> dict[str, list[UrdfJoint]]:
         """Return the joints below each link."""
-        out: dict[str, list[Joint]] = {name: [] for name in (GROUND, *self.links)}
+        out: dict[str, list[UrdfJoint]] = {name: [] for name in (GROUND, *self.links)}
         for joint in self.joints:
             out[joint.parent].append(joint)
         return out
@@ -141,7 +141,7 @@ def read_tree(robot: ET.Element, name: str) -> Tree:
     return tree
 
 
-def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Joint:
+def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> UrdfJoint:
     own, kind = element.get("name", ""), element.get("type", "")
     if kind not in _KINDS:
         raise ModelError(
@@ -158,10 +158,10 @@ def _joint(element: ET.Element, links: dict[str, ET.Element], name: str) -> Join
                 f"expected one of the links {', '.join(sorted(links))}"
             )
     parent, child = ends
-    return Joint(own, kind, parent, child, element)
+    return UrdfJoint(own, kind, parent, child, element)
 
 
-def _root(joints: list[Joint], links: set[str], name: str) -> str:
+def _root(joints: list[UrdfJoint], links: set[str], name: str) -> str:
     """Return the only link without a parent, or raise ModelError."""
     children: dict[str, list[str]] = {}
     below: set[str] = set()

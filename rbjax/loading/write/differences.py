@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from rbjax.constraints import Constraint, JointPolynomial, Pair
-from rbjax.forces import Element, PointSpring
+from rbjax.forces import Element
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
+from rbjax.loading.write.contacts import contact_arrays, contact_differences
 from rbjax.loading.write.draft import Draft, free_bodies, place_in_body
 from rbjax.model import Model
 
 Array = np.ndarray
 _CLOSE = {8: 1e-11, 4: 1e-6}  # relative tolerance, by the bytes of a number
 _TINY = 1e-14  # absolute tolerance
+_SPRING = ("stiffness", "damping", "slack")  # fields of PointSpring
 
 Difference = tuple[str, list[str]]
 
@@ -46,8 +50,16 @@ def differences(
         if len(wrong):
             named = sites if what.startswith("sites") else names
             yield what, list(dict.fromkeys(named[int(i)] for i in wrong))
+    yield from _of_tendons(draft, again)
     yield from _of_elements(model, again, written)
     yield from _of_constraints(model, again, constraints)
+    geoms = {i: again.geom(x.get("name", "")) for i, x in draft.geoms.items()}
+    theirs = {what: x for what, x, _ in contact_arrays(again, geoms.values())}
+    for what, a, names in contact_arrays(model, geoms):
+        wrong = np.flatnonzero(~_close(np.asarray(a), np.asarray(theirs[what])))
+        if len(wrong):
+            yield what, list(dict.fromkeys(names[int(i)] for i in wrong))
+    yield from ((what, []) for what in contact_differences(model, again, geoms))
 
 
 def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str]]]:
@@ -90,6 +102,69 @@ def _turns(quaternions: Any) -> Array:
     x = np.asarray(quaternions)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
     return x[:, :, None] * x[:, None, :]
+
+
+def _of_tendons(draft: Draft, again: Model) -> Iterator[Difference]:
+    model, springs = draft.model, draft.springs
+    own: Any = model.tendons
+    read: Any = again.tendons
+    n, names = len(model.tendon_names), draft.tendons
+    if len(again.tendon_names) != n + len(springs):
+        yield f"{len(again.tendon_names)} tendons in place of {n + len(springs)}", []
+        return
+    if n and list(again.tendon_names[:n]) != list(model.tendon_names):
+        yield "names of tendons", names[:n]
+    for k, spring in enumerate(springs, n):
+        for one, at in zip(_SPRING, ("stiffness", "damping", "springlength"), strict=True):
+            if not _same(_padded(getattr(spring, one)), _padded(getattr(read, at)[k])):
+                yield f"{one} of PointSpring", [names[k]]
+    for f in dataclasses.fields(own) if n else ():
+        ours, theirs = getattr(own, f.name), getattr(read, f.name)
+        if f.name in ("limited", "rubbing") and ours != tuple(i for i in theirs if i < n):
+            yield f"tendons.{f.name}", names[:n]
+        elif f.name == "paths" and not all(
+            _same_path(draft, again, *pair) for pair in zip(ours, theirs[:n], strict=True)
+        ):
+            yield "paths of tendons", names[:n]
+        elif f.name == "coefficients" and not _same(ours, theirs[: len(ours)]):
+            yield "tendons.coefficients", names[:n]
+        elif eqx.is_array_like(ours) and f.name != "coefficients":
+            rows = zip(names, map(_padded, ours), map(_padded, theirs[:n]), strict=False)
+            wrong = [name for name, a, b in rows if not _same(a, b)]
+            if wrong:
+                yield f"tendons.{f.name}", wrong
+
+
+def _padded(row: Any) -> Array:
+    """Append zeros to the coefficients of a polynomial."""
+    row = np.atleast_1d(row)
+    return np.concatenate([row, np.zeros(max(0, 5 - len(row)), row.dtype)])
+
+
+def _same_path(draft: Draft, again: Model, ours: Sequence[Any], theirs: Sequence[Any]) -> bool:
+    """Check whether two paths have the same joints, sites and geoms."""
+    if [x.kind for x in ours] != [x.kind for x in theirs]:
+        return False
+    return all(_same_waypoint(draft, again, a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+def _same_waypoint(draft: Draft, again: Model, a: Any, b: Any) -> bool:
+    """Check whether two elements of paths have the same joint, site, or geom by its numbers."""
+
+    def site(index: int, sites: Sequence[str]) -> str | None:
+        return sites[index] if index >= 0 else None
+
+    if a.kind == "site":
+        return site(a.index, draft.sites) == site(b.index, again.site_names)
+    if a.kind != "geom":
+        return a.index == b.index
+    ours: Any = draft.model.geoms
+    theirs: Any = again.geoms
+    same_side = site(a.side, draft.sites) == site(b.side, again.site_names)
+    (i, j), names = (a.index, b.index), ("position", "orientation")
+    placed = all(_same(getattr(ours, n)[i], getattr(theirs, n)[j]) for n in names)
+    kinds = ours.types[i] == theirs.types[j] and ours.bodies[i] == theirs.bodies[j]
+    return same_side and placed and kinds and _same(ours.size[i, :1], theirs.size[j, :1])
 
 
 def _of_elements(model: Model, again: Model, written: list[Element]) -> Iterator[Difference]:
@@ -141,8 +216,6 @@ def _comparable(element: Element) -> Any:
     if isinstance(element, OrientationServo):
         leaves = (element.gains, element.ctrlrange, element.strongest, element.activation)
         return leaves, element.size
-    if isinstance(element, PointSpring):
-        return element.stiffness, element.damping, element.slack
     return element
 
 

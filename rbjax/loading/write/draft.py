@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import listed
-from rbjax.forces import Place
+from rbjax.forces import Place, PointSpring
 from rbjax.model import WORLD, Model
 
 _SHOWN = 8  # names listed before "and N more"
@@ -26,7 +26,9 @@ class Draft:
     model: the robot, with NumPy leaves.
     root, option, world, tendon, equality, actuator: elements of the file.
     bodies, joints: elements by index.
-    sites: names of the sites.
+    geoms: elements of the geoms that are written, by index.
+    sites, tendons: names of the sites and tendons.
+    springs: springs that are written as tendons, after the tendons of the model.
     notes: parts of the model that are written differently, or left out.
     """
 
@@ -39,7 +41,10 @@ class Draft:
     actuator: ET.Element
     bodies: list[ET.Element] = field(default_factory=list)
     joints: list[ET.Element] = field(default_factory=list)
+    geoms: dict[int, ET.Element] = field(default_factory=dict)
     sites: list[str] = field(default_factory=list)
+    tendons: list[str] = field(default_factory=list)
+    springs: list[PointSpring] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @classmethod

@@ -16,12 +16,11 @@ from rbjax.forces import (
     JointFriction,
     JointLimits,
     JointPolynomials,
-    Place,
     PointSpring,
 )
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
-from rbjax.loading.write.draft import Draft, text
+from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import Model
 
 Array = np.ndarray
@@ -44,7 +43,8 @@ def write_forces(draft: Draft) -> list[Element]:
     _write_limits(draft, limits)
     _write_friction(draft, friction)
     written += _write_lifted(draft, lifted)
-    written += [_write_spring(draft, spring) for spring in springs]
+    for spring in springs:
+        _write_spring(draft, spring)
     return written + _write_fluids(draft, boxes, ellipsoids)
 
 
@@ -101,7 +101,7 @@ def _write_limits(draft: Draft, elements: list[JointLimits]) -> None:
     joints = [j for x in elements for j in map(draft.model.joint, x.joints)]
     if joints:
         draft.note(
-            "compliant stops as ranges alone, with MuJoCo's softness (load with limits=True)",
+            "compliant stops, as joint ranges with MuJoCo's softness (load with limits=True)",
             _names(draft, joints),
         )
 
@@ -163,18 +163,18 @@ def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[in
     return sorted(shares[True]) if same and whole and True in shares and model.nu else None
 
 
-def _write_spring(draft: Draft, spring: PointSpring) -> Element:
+def _write_spring(draft: Draft, spring: PointSpring) -> None:
     """Write a spring as a spatial tendon between two sites."""
     ends = [draft.site(place) for place in (spring.a, spring.b)]
     k, d = (_padded(draft, x) for x in (spring.stiffness, spring.damping))
     tendon = ET.SubElement(
-        draft.tendon, "spatial", name=f"spring{len(draft.tendon)}", stiffness=text(k),
+        draft.tendon, "spatial", name=unique(["spring"], draft.tendons)[0], stiffness=text(k),
         damping=text(d), springlength=text(spring.slack),
     )  # fmt: skip
+    draft.tendons.append(tendon.get("name", ""))
     for name in ends:
         ET.SubElement(tendon, "site", site=name)
-    at = Place(np.zeros(3), np.eye(4)[0], site=0)  # type: ignore[arg-type]
-    return PointSpring(at, at, k, d, spring.slack)  # type: ignore[arg-type]
+    draft.springs.append(dataclasses.replace(spring, stiffness=k, damping=d))
 
 
 def _padded(draft: Draft, x: Any) -> Array:
@@ -195,10 +195,30 @@ def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:
         columns = (element.blunt_drag, element.slender_drag, element.angular_drag,
                    element.kutta_lift, element.magnus_lift)  # fmt: skip
         for n, b in enumerate(element.bodies):
+            fluid = {"fluidshape": "ellipsoid", "fluidcoef": text([x[n] for x in columns])}
+            own = _geom_of(draft, element, n)
+            if own is not None:
+                own.attrib.update(fluid)
+                continue
             draft.add(
                 b, "geom", type="ellipsoid", size=text(element.semi_axes[n]),
                 pos=text(element.position[n]), quat=text(element.orientation[n]), mass="0",
-                contype="0", conaffinity="0", fluidshape="ellipsoid",
-                fluidcoef=text([x[n] for x in columns]),
+                contype="0", conaffinity="0", **fluid,
             )  # fmt: skip
     return written
+
+
+def _geom_of(draft: Draft, element: EllipsoidFluid, n: int) -> ET.Element | None:
+    """Return the geom that is the n-th ellipsoid of a fluid, if it is written."""
+    geoms: Any = draft.model.geoms
+    for i, own in draft.geoms.items():
+        a, b, c = geoms.size[i]
+        axes = {"sphere": (a, a, a), "capsule": (a, a, a + b), "cylinder": (a, a, b)}
+        same = (
+            (geoms.position[i], element.position[n]),
+            (geoms.orientation[i], element.orientation[n]),
+            (axes.get(geoms.types[i], (a, b, c)), element.semi_axes[n]),
+        )
+        if geoms.bodies[i] == element.bodies[n] and all(np.array_equal(x, y) for x, y in same):
+            return own
+    return None

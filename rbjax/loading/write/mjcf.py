@@ -21,9 +21,12 @@ from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.loader import from_compiled
 from rbjax.loading.mjcf.actuators import write_actuators
 from rbjax.loading.mjcf.constraints import write_constraints
+from rbjax.loading.mjcf.tendons import write_tendons
+from rbjax.loading.write.contacts import write_geoms, write_pairs, write_solver
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
+from rbjax.loading.write.sensors import sensors_differ, write_sensors
 from rbjax.model import WORLD, Model
 
 _KINDS = {"free", "ball", "slide", "hinge"}
@@ -38,8 +41,9 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """Write a model as the text of an MJCF file from which `load` reads the same model.
 
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
-    armature and ranges, actuators with their states, sites, keyframes, gravity, timestep, and the
-    force elements and constraints that MJCF has.
+    armature and ranges, actuators with their states, sites, tendons, geoms except meshes and height
+    fields, the pairs that may touch, parameters of contacts, limits and friction loss, keyframes,
+    sensors, gravity, timestep, and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -47,8 +51,7 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         strict: raise instead of warn about parts that the file cannot express.
 
     Returns:
-        The text. It has no shapes for display or contact. A comment at its top lists the parts that
-        differ from the model or are left out.
+        The text. A comment at its top lists the parts that differ from the model or are left out.
 
     Raises:
         ModelError: values that MuJoCo rejects in a file, such as impossible inertials.
@@ -87,13 +90,22 @@ def make_draft(model: Model) -> Draft:
     draft.option.set("gravity", text(model.gravity))
     _write_bodies(draft)
     _write_joints(draft)
+    write_solver(draft)
+    write_geoms(draft)
     _write_sites(draft)
+    write_tendons(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
+    if draft.geoms:
+        write_pairs(draft, compile_mjcf(serialize(draft)))
+    seen = write_sensors(draft)
     _write_keyframes(draft)
-    again = jax.tree.map(np.asarray, from_compiled(compile_mjcf(serialize(draft))))
+    compiled = compile_mjcf(serialize(draft))
+    again = jax.tree.map(np.asarray, from_compiled(compiled, contacts=model.contact is not None))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
+    if changed := sensors_differ(draft, again, seen):
+        draft.note("sensors that are read back as others", changed)
     return draft
 
 
@@ -103,8 +115,8 @@ def _known(model: Model) -> Model:
     check_model("write_mjcf", model, fix=one)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
         raise InputError(
-            "write_mjcf: got a traced model, expected known numbers; call it outside of jit, vmap "
-            "and grad"
+            "write_mjcf: got a traced model, expected concrete values; call it outside of jit, "
+            "vmap and grad"
         )
     kinds = zip(model.joint_names, model.topology.joint_kinds, strict=True)
     others = [f"{name} ({kind})" for name, kind in kinds if kind not in _KINDS]
@@ -245,7 +257,7 @@ def _write_joints(draft: Draft) -> None:
                 attributes[key] = text(limits)
         draft.joints.append(draft.add(body, "joint", **attributes))
     if uneven:
-        draft.note("the first number, where the axes of a joint have several", uneven)
+        draft.note("the value of the first axis, where the axes of a joint differ", uneven)
 
 
 def _write_sites(draft: Draft) -> None:
@@ -291,6 +303,6 @@ def compile_mjcf(mjcf: str) -> mujoco.MjModel:
     except ValueError as error:
         message = " ".join(str(error).split())
         raise ModelError(
-            f"write_mjcf: MuJoCo does not take the file of this model: {message}; correct the "
-            f"number that it names with model.replace"
+            f"write_mjcf: MuJoCo rejects the file of this model: {message}; correct the value "
+            "named there with model.replace"
         ) from error

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes.arrays import smallest
+from rbjax.lanes.arrays import select, smallest
 
 SHORT = 0.99  # fraction of the longest step that keeps all positive variables positive
 FIRST = 0.1  # initial slack
@@ -110,7 +110,7 @@ def solve(
         a, b = longest(p, full)
         new = moved(p, full, SHORT * a, SHORT * b)
         fine = jnp.isfinite(new.d).all() & (now > 4 * jnp.finfo(c.dtype).eps)
-        return jax.tree.map(lambda x, z: jnp.where(fine, x, z), new, p), None
+        return select(fine, new, p), None
 
     d = (low + high) / 2
     over = jnp.maximum(G @ d - g, 0.0)

@@ -95,8 +95,8 @@ def check_path(where: str, path: Any) -> None:
         raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
     if path.start.ndim != 1 or not path.steps.shape[0]:
         raise InputError(
-            f"{where}: got steps of shape {path.steps.shape}, expected those of one path, (n, 3) "
-            "with n of at least 1; use jax.vmap for many"
+            f"{where}: path.steps has shape {path.steps.shape}, expected (n, 3) with n of at "
+            "least 1, one path; use jax.vmap for several"
         )
 
 
@@ -114,7 +114,10 @@ def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     flat = jnp.sqrt(jnp.finfo(dtype).eps)
 
     def rows(k, low, high):
-        """Return the half-planes a u + b x <= c of step k, whose final x is in [low, high]."""
+        """Return the half-planes a u + b x <= c of step k, for a final x in [low, high].
+
+        x is the squared path speed at the start of the step, and u the path acceleration.
+        """
         step, (A0, B0, C0), (A1, B1, C1) = k
         A, B = jnp.stack([A0, A1 + 2 * step * B1]) / most, jnp.stack([B0, B1]) / most
         C, one = jnp.stack([C0, C1]) / most, jnp.ones(1, dtype)

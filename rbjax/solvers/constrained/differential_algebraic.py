@@ -84,7 +84,7 @@ class Equations:
 
 
 class Point(NamedTuple):
-    """Start of a step: the point of the matrix, and the initial guess."""
+    """Start of a step, where the Jacobian is evaluated; also the initial guess of its stages."""
 
     t: Any
     y: jax.Array
@@ -161,7 +161,7 @@ def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array)
 
 @dataclass(frozen=True)
 class System:
-    """The stage equations, with the closed-over values of f as an argument."""
+    """The stage equations of f(t, y, rates, w) = 0; values that f reads are its last arguments."""
 
     f: Callable[..., jax.Array]
     sizes: Sizes

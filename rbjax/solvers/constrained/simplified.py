@@ -68,7 +68,13 @@ def spectrum(a: np.ndarray) -> Spectrum:
 
 
 class Weights(NamedTuple):
-    """Coefficients A (s, s) of an implicit method, their inverse, and their real form."""
+    """Runge-Kutta matrix A (s, s) of an implicit method.
+
+    Fields:
+        a: A.
+        inverse: the inverse of A.
+        spectrum: the eigenvalues and eigenvectors of A as a `Spectrum`.
+    """
 
     a: Any
     inverse: Any

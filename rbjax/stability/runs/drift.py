@@ -36,6 +36,7 @@ from rbjax.dynamics import (
 )
 from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
+from rbjax.lanes.arrays import select
 from rbjax.model import Model, State, Topology
 from rbjax.motion.term import make_term, unit_quaternions
 from rbjax.stability.methods import Solver, fixed_step_solver
@@ -100,7 +101,7 @@ def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
         y1, _, _, memory, result = solver.step(term, t, t + dt, y, args, memory, made_jump=False)
         found = result == diffrax.RESULTS.successful
         ending = jnp.where(found, jnp.where(finite(y1), DONE, NOT_FINITE), NO_ROOT)
-        y1 = jax.tree.map(lambda new, old: jnp.where(ending == DONE, new, old), y1, y)
+        y1 = select(ending == DONE, y1, y)
         return n + (ending == DONE), ending, y1, memory
 
     def sample(state, _):

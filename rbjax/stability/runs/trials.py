@@ -160,14 +160,14 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
         )
     if not np.isfinite(t).all():
         raise InputError(
-            "verdict: got times that are not finite; after an early end of a run of drift times "
-            "are nan: give those of the whole run, and its ending"
+            "verdict: got times that are not finite, expected finite times; a run of `drift` that "
+            "ended early has nan times: give the times of the whole run, and its `ending`"
         )
     r = None
     if reference is not None:
         r = real_array("verdict", "reference", reference, "an array of numbers", finite=False)
     if r is not None and r.shape != x.shape:
-        raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
+        raise InputError(f"verdict: got a reference {r.shape}, expected the shape of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
         raise InputError("verdict: got a reference that is not finite, expected finite values")
     rows = (len(t), -1)

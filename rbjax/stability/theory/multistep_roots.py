@@ -211,8 +211,8 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
     a, b = exact(rho, "multistep: rho"), exact(sigma, "multistep: sigma")
     if len(a) < sizes[0][0]:
         raise InputError(
-            "multistep: the last rho is zero, expected that of the newest y; coefficients go from "
-            "the oldest to the newest"
+            "multistep: the last coefficient of rho is zero, expected the coefficient of the "
+            "newest y; coefficients are in order from the oldest to the newest"
         )
     if not b:
         raise InputError("multistep: sigma is zero, expected the weights of the rates")
@@ -350,5 +350,5 @@ def characteristic(solver: Method) -> Characteristic:
         raise InputError(
             f"characteristic: {type(one).__name__} has no linear theory here, expected a "
             "multistep, Runge-Kutta or Rosenbrock method; spectral_radius(solver, h_omega) "
-            "measures those of q' = v, v' = a"
+            "measures the growth factors of q' = v, v' = a"
         ) from error

@@ -210,8 +210,8 @@ def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
     if found is None:
         raise InputError(
             f"stability_function: {type(solver).__name__} has no R(z), expected a Runge-Kutta or "
-            "Rosenbrock method; take characteristic(solver) for multistep methods, "
-            "spectral_radius(solver, h_omega) for those of q' = v, v' = a"
+            "Rosenbrock method; use characteristic(solver) for multistep methods, "
+            "spectral_radius(solver, h_omega) for methods of q' = v, v' = a"
         )
     return of_tableau(*found)
 

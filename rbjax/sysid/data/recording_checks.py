@@ -178,7 +178,7 @@ def _check_velocities(recording: Recording) -> Iterator[Finding]:
         best = int(np.argmax(likeness))
         text = f"{recording.name}: channel v: {n} is "
         if likeness[best] > 0.9 and likeness[i] < 0.7:
-            text += f"not the rate of its q; that of {names[best]} is: are these joints swapped?"
+            text += f"not the rate of its q, but like the rate of q of {names[best]}: swapped?"
         elif likeness[i] > 0.9 and abs(slope + 1) < SLOPE:
             text += "minus the rate of its q: one of the two has the wrong sign"
         elif likeness[i] > 0.9 and abs(slope - 1) > SLOPE:

@@ -58,10 +58,11 @@ OF_SQUARES = Tolerances(flat=1e-8, coarse=1e-2, optimal=1e-7, relative=True)
 
 
 class Objective(Protocol):
-    """Protocol of an objective: cost, triangular factor and divergence.
+    """Protocol of an objective of x (p,) with residuals r and their Jacobian J.
 
-    `cost` is inf if it is not finite. `triangle` is R (p + 1, p + 1) with R^T R = [J r]^T [J r],
-    and J^T r is half of the gradient of the cost. `divergence` is D.
+    cost: the value; inf if it is not finite.
+    triangle: R (p + 1, p + 1) with R^T R = [J r]^T [J r]. J^T r is half of the cost's gradient.
+    divergence: a `Divergence` of x from x0, which measures the length of a step.
     """
 
     def cost(self, x: np.ndarray, /) -> float: ...

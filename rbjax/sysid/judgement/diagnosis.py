@@ -362,7 +362,7 @@ WORDS = {
 
 def _clock_hypothesis(sensors: tuple[str, ...], rate: float) -> Hypothesis:
     words = f"the clock of {' and '.join(sensors)} is {abs(100 * rate):.3g} % too "
-    words += f"{'fast' if rate < 0 else 'slow'} compared with that of the commands"
+    words += f"{'fast' if rate < 0 else 'slow'} compared with the clock of the commands"
     return Hypothesis("clock", sensors, (), stretch(rate), words)
 
 

@@ -201,7 +201,7 @@ def _first_readings(model: Model, run: Recording, start: float) -> tuple[np.ndar
     if model.nq != model.nv:
         raise InputError(
             f"identify: recording {run.name} has no channel v, expected one: the model has "
-            "attitudes, whose rate is not the slope of its numbers"
+            "attitudes, whose angular velocity is not the derivative of q"
         )
     channel = run["q"]
     k = int(np.searchsorted(channel.t, start - 1e-9))

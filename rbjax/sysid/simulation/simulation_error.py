@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
+from rbjax.lanes.arrays import select
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
@@ -72,7 +73,7 @@ def make_programs(
         made = functools.partial(unknowns.write, setup)
         now = made(p)
         start = state_of_readings(now, run.start, "v" in run.values)
-        start = jax.tree.map(lambda a, b: jnp.where(run.exact > 0, a, b), run.start, start)
+        start = select(run.exact > 0, run.start, start)
         if own:
             dq, dv = jnp.split(jnp.where(run.known > 0, 0.0, s), 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
@@ -239,7 +240,7 @@ class SimulationError:
         return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def rows_of(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Split rows (runs, rows, ...) into arrays (runs, T, columns, ...), by sensor."""
+        """Split residuals (runs, rows, ...) by sensor into (runs, samples, columns, ...)."""
         found, at = {}, 0
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]

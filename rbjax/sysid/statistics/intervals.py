@@ -256,7 +256,10 @@ def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
 
 
 def _within(x: float, half: float, low: float, high: float) -> tuple[float, float]:
-    """Compute the interval x -+ half on a scale that is infinite at the bounds, to first order."""
+    """Compute an interval about x within (low, high), to first order x -+ half.
+
+    It is symmetric in log(x - low), log(high - x) or their difference, for finite bounds.
+    """
     if not low < x < high:  # the scale is undefined on a bound
         return max(x - half, low), min(x + half, high)
     if np.isinf(low) and np.isinf(high):

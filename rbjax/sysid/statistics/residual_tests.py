@@ -51,8 +51,8 @@ class Whiteness:
             return f"the residual is white (Ljung-Box p = {self.p_value:.2g})"
         return (
             f"the residual is not white (Ljung-Box p = {self.p_value:.1g}): {self.samples} samples "
-            f"say as much as {self.effective_samples:.0f}, so intervals for white noise are too "
-            "narrow, and the model lacks something"
+            f"carry the information of {self.effective_samples:.0f} independent ones, so intervals "
+            "for white noise are too narrow, and the model lacks an effect"
         )
 
 

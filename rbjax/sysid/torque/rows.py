@@ -78,7 +78,7 @@ class TorqueRows:
         return self.W + self.slopes @ change if change.any() else self.W
 
     def residual(self, parameters: Any, zeros: Any = None) -> Array:
-        """Compute the residual tau - W pi (N, nv)."""
+        """Compute the residual tau - W pi (N, nv), in N m, for parameters pi (p,)."""
         W = self.W if zeros is None else self.at(zeros)
         return self.tau - W @ np.asarray(parameters, float)
 

@@ -161,8 +161,8 @@ def _check_tree(roles: Roles) -> None:
     roots = {rest.root(j) for j in (*roles.wheels, *roles.turntables, *roles.hitches)}
     if len(roots) > 1:
         raise InputError(
-            f"from_file: the joints are of {len(roots)} robots, with the bodies "
-            f"{', '.join(sorted(map(rest.body_name, roots)))}; expected those of one"
+            f"from_file: the joints belong to {len(roots)} robots, with the root bodies "
+            f"{', '.join(sorted(map(rest.body_name, roots)))}; expected joints of one robot"
         )
     for wheel in roles.wheels:
         above = rest.above(wheel)

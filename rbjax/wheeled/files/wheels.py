@@ -96,7 +96,7 @@ def file_wheels(
             f"above the lowest by {above}, expected at most {1e3 * tolerance * largest:.3g} mm; "
             "hold other joints with q, give radius, or raise the tolerance"
         )
-    out.add("wheels that stand at heights that differ by", height, largest)
+    out.add("wheels at heights that differ by", height, largest)
     return wheels
 
 
@@ -165,11 +165,15 @@ def _caster(
         )
     if abs(aside) > tolerance * size:
         raise InputError(
-            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm beside its "
-            f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
+            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm to the side of "
+            f"its pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
         )
-    out.add(f"{name}: a wheel beside its pivot by", aside, size)
-    out.add(f"{name}: a centre of mass beside its pivot by", side @ (whole.com - place), size)
+    out.add(f"{name}: a wheel off its pivot to the side by", aside, size)
+    out.add(
+        f"{name}: a centre of mass off its pivot by",
+        side @ (whole.com - place),
+        size,
+    )
     return FileWheel(j, "caster", place, ahead, mass=whole.mass,
                      yaw_inertia=whole.about(UP, place), trail=trail,
                      behind=float(ahead @ (place - whole.com)), sense=sense, **numbers)  # fmt: skip

@@ -142,7 +142,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
         real_number("wheeled.write_mjcf", name, x, above=0.0)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
-            "wheeled.write_mjcf: got a traced robot, expected known numbers; call it outside of "
+            "wheeled.write_mjcf: got a traced robot, expected concrete values; call it outside of "
             "jit, vmap and grad"
         )
     rolling = [i for i, x in enumerate(robot.wheels) if x.kind == "rollers"]
@@ -229,7 +229,7 @@ def _write_drives(draft: Draft, n: Parameters) -> None:
 
 
 def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
-    """Write the fixed tendon of a differential, whose length is sum split_i phi_i."""
+    """Write the fixed tendon of a differential: its length is sum split_i phi_i of axle angles."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
         ET.SubElement(cage, "joint", joint=axle, coef=text(share))

@@ -108,7 +108,7 @@ class HeadingSlip(Record):
         return wide.reshape(*z.shape[:-1], 3, -1)
 
     def __call__(self, twist: Any) -> jax.Array:
-        """Compute the robot's twist V (..., 3) from the twist u (..., 3) of wheels that roll."""
+        """Compute the robot's twist (..., 3) from the twist (..., 3) if the wheels did not slip."""
         V = self.terms(twist) @ self.coefficients.T
         return V.at[..., 2].divide(self.arm)
 

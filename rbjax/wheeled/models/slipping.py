@@ -89,7 +89,7 @@ class Slipping(RobotModel):
 
     @property
     def tyres(self) -> tuple[Any, ...]:
-        """The law of each wheel."""
+        """The tyre law of each wheel."""
         if isinstance(self.tyre, tuple):
             return self.tyre
         return (self.tyre,) * len(self.robot.wheels)

@@ -53,7 +53,7 @@ class RobotSystem(System):
         if not isinstance(model, RobotModel):
             raise InputError(
                 f"a design gave {type(model).__name__}, expected a robot at a fidelity with other "
-                "numbers, as equinox.tree_at gives it"
+                "parameters, as equinox.tree_at returns it"
             )
         return RobotSystem(model, self.integrator, self.parts)
 

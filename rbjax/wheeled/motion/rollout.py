@@ -16,11 +16,16 @@ from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
-from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.closures.captured import with_captured
-from rbjax.motion.trajectory import Trajectory, all_finite
+from rbjax.motion.trajectory import (
+    Trajectory,
+    all_finite,
+    check_save_every,
+    check_times,
+    scan_steps,
+)
 from rbjax.wheeled.kinematics.context import RobotContext
 from rbjax.wheeled.kinematics.parameters import Parameters
 from rbjax.wheeled.models.robot_model import RobotModel, as_state, check_robot_model, check_state
@@ -161,11 +166,7 @@ def rollout(
         ctrl = check_array("rollout", "ctrl", ctrl, *due).astype(state.q.dtype)
         steps = ctrl.shape[-2]
     steps = integer("rollout", "steps", steps, least=1)
-    save_every = integer("rollout", "save_every", save_every, least=1)
-    if steps % save_every:
-        raise InputError(
-            f"rollout: save_every is {save_every!r}, expected a divisor of the {steps} steps"
-        )
+    save_every = check_save_every("rollout", save_every, steps)
     how = _Steps(integrator, steps, save_every)
     run = _run if inside_jit() else _compiled
     if callable(ctrl):
@@ -205,26 +206,18 @@ def _states(model: RobotModel, state: State, ctrl: Any, dt: Any, how: _Steps) ->
     context = model.context(state)
     dtype = state.q.dtype
 
-    def once(y: Lists, i: Any) -> tuple[Lists, None]:
+    def step(y: Lists, i: Any) -> Lists:
         u = ctrl(i * dt, as_state(*y, dtype)) if callable(ctrl) else ctrl[i]
         u = jnp.asarray(u, dtype)
         given = [u[k] for k in range(model.nu)]
-        return advance(model, context.n, y, given, dt, how.integrator), None
-
-    def segment(y: Lists, first: Any) -> tuple[Lists, Lists]:
-        if how.save_every == 1:
-            y, _ = once(y, first)
-        else:
-            y, _ = jax.lax.scan(jax.checkpoint(once), y, first + jnp.arange(how.save_every))
-        return y, y
+        return advance(model, context.n, y, given, dt, how.integrator)
 
     begin = (context.q, context.v, context.x)
-    starts = jnp.arange(0, how.steps, how.save_every)
-    _, path = jax.lax.scan(jax.checkpoint(segment), begin, starts)
+    path = scan_steps(step, begin, how.steps, how.save_every)
 
     def table(first: list[Lane], later: list[Lane]) -> jax.Array:
         if not first:
-            return jnp.zeros((len(starts) + 1, 0), dtype)
+            return jnp.zeros((how.steps // how.save_every + 1, 0), dtype)
         return jnp.concatenate([jnp.stack(first)[None], jnp.stack(later, -1)])
 
     q, v, x = (table(a, b) for a, b in zip(begin, path, strict=True))
@@ -272,10 +265,7 @@ def simulate(
     check_robot_model("simulate", model)
     state = check_state("simulate", model, state)
     dtype = state.q.dtype
-    ts = check_array("simulate", "ts", ts, shape_of("simulate", "ts", ts)).astype(dtype)
-    known = not isinstance(ts, jax.core.Tracer)
-    if ts.ndim != 1 or len(ts) < 2 or (known and not bool((ts[1:] > ts[:-1]).all())):
-        raise InputError("simulate: ts does not increase, expected two or more times (T,) in s")
+    ts, elapsed = check_times("simulate", ts, dtype)
     if callable(ctrl):
         check_takes("simulate", "ctrl", ctrl, "t", "state")
     else:
@@ -285,7 +275,6 @@ def simulate(
         integer("simulate", "max_steps", max_steps, least=1)
     if tolerance is None:
         tolerance = 1e-10 if dtype == jnp.float64 else 1e-5
-    elapsed = ts - ts[0]
     solve = functools.partial(
         _diffeqsolve, diffrax.ODETerm(_Field(ts[0])), solver or diffrax.Dopri8(), elapsed[0],
         elapsed[-1], None, state, saveat=diffrax.SaveAt(ts=elapsed), throw=False,

@@ -166,7 +166,7 @@ def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
         own = sub(yaw, mul(mass, mul(behind, behind)))
         fork = tree.body(f"fork_{i}", body, (x, y, 0.0), STRAIGHT, mass,
                          (neg(behind), 0.0, wheel.radius), (own, own, own))  # fmt: skip
-        _needs_inertia(f"wheels[{i}].yaw_inertia, less that of its mass off the pivot,", own)
+        _needs_inertia(f"wheels[{i}].yaw_inertia, less mass * behind^2,", own)
         tree.joint(f"caster_{i}", "hinge", fork)
         hub = tree.body(f"wheel_{i}", fork, (neg(wheel.trail), 0.0, wheel.radius))
         armature = add(armature, spin)

@@ -75,8 +75,8 @@ def arrange(robot: Robot) -> Arrangement:
     """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
-            "Robot: the numbers are traced, and the arrangement of wheels depends on them; build "
-            "the robot outside of traced code and change its numbers with `replace` or "
+            "Robot: the parameters are traced, and the arrangement of wheels depends on them; "
+            "build the robot outside of traced code and change its parameters with `replace` or "
             "`equinox.tree_at`, or give `arrangement`"
         )
     sources = _sources(robot)

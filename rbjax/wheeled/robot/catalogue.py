@@ -260,7 +260,7 @@ def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
     def named(**numbers: Any) -> Robot:
         for name in numbers:
             if name not in valid:
-                raise UnknownName(f"number of a {kind}", name, valid)
+                raise UnknownName(f"parameter of a {kind}", name, valid)
         return make(**numbers)
 
     return named

@@ -190,7 +190,7 @@ class Steering(Record):
     def __check_init__(self) -> None:
         check_fields(self)
         if not self.wheels:
-            raise InputError("Steering: got no wheels, expected the numbers of at least one")
+            raise InputError("Steering: got no wheels, expected the index of at least one")
         if self.lag is not None and not isinstance(self.lag, jax.core.Tracer):
             real_number("Steering", "lag", self.lag, above=0.0)
 
@@ -316,7 +316,7 @@ def _check_indices(robot: Robot) -> None:
         if (body.ahead is None) != (k == 0) or (body.ahead is not None and not body.ahead < k):
             raise InputError(
                 f"Robot: bodies[{k}].ahead is {body.ahead}, expected "
-                + ("None for the chassis" if k == 0 else f"the number of a body before {k}")
+                + ("None for the chassis" if k == 0 else f"the index of a body before {k}")
             )
     for i, wheel in enumerate(robot.wheels):
         if not 0 <= wheel.body < bodies:
@@ -337,6 +337,6 @@ def _check_indices(robot: Robot) -> None:
     steered = sorted(i for i, wheel in enumerate(robot.wheels) if wheel.kind == "steered")
     if sorted(taken) != steered:
         raise InputError(
-            f"Robot: the steerings turn wheels {sorted(taken)}, expected those of kind 'steered', "
+            f"Robot: the steerings turn wheels {sorted(taken)}, expected all of kind 'steered', "
             f"{steered}"
         )

@@ -33,7 +33,7 @@ from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
-from rbjax.forces.place import Place, check_places
+from rbjax.forces.place import Place, check_places, end
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.wheeled.fields import check_ranges, number
@@ -44,10 +44,17 @@ from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 class Contact(NamedTuple):
     """The contact of a tyre with the ground, in world axes.
 
-    p: the contact point. n, x, y: the normal and the directions along and across the wheel.
-    depth: m. load: N, in newtons. lever: D, m.
-    sliding: velocity along x and y, m/s. mu: traction along x and y.
-    rates: of the tyre state. spin: about the axle, rad/s. roll_speed: of the rim, m/s.
+    Fields:
+        p: the contact point, m.
+        n, x, y: the unit normal, and the unit vectors along and across the wheel in the plane.
+        depth: deflection of the tyre, m.
+        load: normal force, N.
+        lever: distance from the wheel's centre to the plane along the wheel's disc, m.
+        sliding: velocity of the tyre's surface at p along x and y, m/s.
+        mu: force along x and y divided by the load.
+        rates: time derivative of the tyre state.
+        spin: rate of the wheel about its axle, rad/s.
+        roll_speed: speed of the rim, m/s.
     """
 
     p: Vec3
@@ -97,8 +104,8 @@ class TyreOnGround(Element):
         [-79.6, 0.0, 99.5]
     """
 
-    a: Place
-    b: Place
+    a: Place = end()
+    b: Place = end()
     tyre: Tyre | Relaxing
     radius: jax.Array = number()
     stiffness: jax.Array = number()

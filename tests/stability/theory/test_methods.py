@@ -140,7 +140,7 @@ def test_unstable_methods_have_a_report() -> None:
     [
         (lambda: stability.multistep([-1, 0, 1], [0, 2, 0, 0]), r"rho \(3,\) and sigma \(4,\)"),
         (lambda: stability.multistep(1.0, [1]), r"rho \(\) and sigma \(1,\)"),
-        (lambda: stability.multistep([-1, 1, 0], [0, 2]), "the last rho is zero.*oldest"),
+        (lambda: stability.multistep([-1, 1, 0], [0, 2]), "last coefficient of rho is zero"),
         (lambda: stability.multistep([-1, np.nan], [1]), "expected finite numbers"),
         (lambda: stability.multistep([-1, 1], [0, 0]), "sigma is zero"),
         (lambda: stability.Characteristic(((-1, 1),)), "neither zero"),

@@ -31,6 +31,7 @@ from rbjax.control.optimal.derivatives.riccati_solve import (
 )
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, take
 from rbjax.control.products import product
+from rbjax.lanes.arrays import select
 
 BOUND_ROUNDING = 64.0  # tolerance of active bounds, in units in the last place
 REGULAR = 1e-6  # regularisation of Gauss-Newton Hessians, relative to the mean of the diagonal
@@ -137,7 +138,7 @@ class KKTSystem:
             point, best = now
             kkt = self.at(point)
             better = wanted & (_size(kkt.gradient) < _size(best.gradient))
-            best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), kkt, best)
+            best = select((k == 0) | better, kkt, best)
             z = solve_kkt(best, jax.tree.map(jnp.negative, best.gradient))
             at = best.point
             knots = jax.vmap(self.problem.plus)(at.knots, z.x)
@@ -276,7 +277,7 @@ def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
     """Return the system with exact Hessians if definite, else with Gauss-Newton Hessians."""
     fixed = jax.lax.stop_gradient
     found = factorise(fixed(exact))
-    e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)
+    e = select(found.ok, exact, gauss)
     return e, jax.lax.cond(found.ok, lambda: found, lambda: factorise(fixed(gauss)))
 
 

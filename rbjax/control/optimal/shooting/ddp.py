@@ -58,7 +58,7 @@ class Rollout(NamedTuple):
 
     knots, ctrl: the motion, (N + 1, ...) and (N, m).
     costs, violations: its cost and largest constraint violation, ().
-    more: sum of gap' V dx, ().
+    more: (), sum of gap' V dx over the knots, with the value's Hessian V and the change dx.
     """
 
     knots: Knot

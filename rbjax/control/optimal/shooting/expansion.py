@@ -92,7 +92,7 @@ def _second_order_in(
 
 
 def read_columns(problem: Problem, part: Any) -> np.ndarray:
-    """Return the indices in (knot tangent vector, controls) on which a function depends."""
+    """Return which entries of (knot tangent, controls) the function part(t, knot, ctrl) reads."""
     knot, ctrl = example_knot(problem)
     leaves, tree = jax.tree.flatten((knot, ctrl))
 

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes.arrays import select
+
 KEPT = 64
 SHARE = 1e-5  # gamma: a margin relative to the infeasibility
 ARMIJO = 1e-4
@@ -84,7 +86,7 @@ def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Ar
 def updated_filter(
     filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
 ) -> Filter:
-    """Return the filter after an accepted step."""
+    """Return the filter after an accepted step of length a from the pair `now` to `trial`."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
     enters = ~(must_decrease(filter_, now, slope, a) & armijo)
     at = filter_.used % KEPT
@@ -93,4 +95,4 @@ def updated_filter(
         phi=filter_.phi.at[at].set(now.phi - SHARE * now.theta),
         used=filter_.used + 1,
     )
-    return jax.tree.map(lambda new, old: jnp.where(enters, new, old), new, filter_)
+    return select(enters, new, filter_)

@@ -39,6 +39,7 @@ from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
+from rbjax.lanes.arrays import select
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
@@ -273,8 +274,7 @@ def _update_distribution(
 
         deviation = jax.tree.map(spread, good, mean, now.deviation)
     some = jnp.isfinite(least[0])  # otherwise draw again from the same distribution
-    pick = lambda new, old: jnp.where(some, new, old)  # noqa: E731
-    return jax.tree.map(pick, (mean, deviation), (now.mean, now.deviation))
+    return select(some, (mean, deviation), (now.mean, now.deviation))
 
 
 def _weighted(w: jax.Array, x: jax.Array) -> jax.Array:

@@ -43,6 +43,7 @@ from rbjax.control.optimal.shooting.expansion import (
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+from rbjax.lanes.arrays import select
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # of the regularisation; LEAST means none
 LENGTHS = 0.5 ** np.arange(10)  # lengths of the trial steps
@@ -88,7 +89,7 @@ class IterationValues(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The outcome of an iteration: the accepted trial step and the next state of the search."""
+    """The trial step that an iteration accepts, and the next state of the search."""
 
     search: SearchState  # the state after the iteration
     best: jax.Array  # the index of a trial
@@ -341,9 +342,7 @@ def iterate(
         after, multipliers = decided.search, now.multipliers
         if constrained:
             new = updated_multipliers(problem, knots, ctrls, multipliers)
-            path, end = jax.tree.map(
-                lambda x, old: jnp.where(decided.new_multipliers, x, old), new, multipliers[:2]
-            )
+            path, end = select(decided.new_multipliers, new, multipliers[:2])
             multipliers = Multipliers(path, end, after.penalty)
         if options.report is not None:
             jax.debug.callback(options.report, after.iterations, after.cost, after.violation)

@@ -30,6 +30,7 @@ from rbjax.control.optimal.shooting.search import CLOSER, FLOOR, LOOSE
 from rbjax.control.optimal.solution import Options, SearchResult
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 
 PERSISTS = 0.9  # infeasible if, at the largest penalty, a violation does not fall to this share
 EDGE = 0.98  # a first guess is clipped to this fraction of the range of its bounds
@@ -173,9 +174,7 @@ def optax_search(optimiser: optax.GradientTransformation) -> Inner:
             costs = costs.at[jnp.minimum(count, history - 1)].set(cost)
             fine = jnp.isfinite(cost) & jnp.isfinite(slope.us).all()
             here = Best(w, cost, *target.stationarity(w, cost, slope))
-            best = jax.tree.map(
-                lambda new, old: jnp.where(fine & (cost < best.cost), new, old), here, best
-            )
+            best = select(fine & (cost < best.cost), here, best)
             change, after = optimiser.update(slope, state, w)
             count = count + 1
             look = (count - used) % PATIENCE == 0
@@ -183,9 +182,7 @@ def optax_search(optimiser: optax.GradientTransformation) -> Inner:
             again = ~fine | (look & (mark - best.cost <= least))
             mark = jnp.where(look, best.cost, mark)
             w = jax.tree.map(lambda x, d, b: jnp.where(again, b, x + rate * d), w, change, best.w)
-            state = jax.tree.map(
-                lambda new, old: jnp.where(again, old, new), after, optimiser.init(w)
-            )
+            state = select(again, optimiser.init(w), after)
             rate = jnp.where(again, SHORTER * rate, rate)
             status = jnp.where(count >= target.iterations, BUDGET, GOING)
             status = jnp.where(rate < SHORTEST, STUCK, status)
@@ -357,6 +354,6 @@ def levenberg_marquardt_search(problem: Problem) -> Inner:
             if jax.eval_shape(functools.partial(term, 0.0), knot, ctrl).ndim == 0:
                 raise InputError(
                     f"solve: method 'levenberg_marquardt' needs residuals, and the cost "
-                    f"{cost.term.label} is a number; return a vector, or take 'bfgs'"
+                    f"{cost.term.label} is a scalar; return a vector, or use 'bfgs'"
                 )
     return optimistix_search(True)

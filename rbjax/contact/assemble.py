@@ -1,0 +1,203 @@
+"""Assembly of the contact problem of a model at a state."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.contact.contact_rows import ContactSet, Options, World
+from rbjax.contact.inverse_weights import inverse_weights
+from rbjax.contact.parameters import pair_parameters
+from rbjax.contact.problem import Problem, Tree, stacked
+from rbjax.contact.scalar_rows import FRICTION, LIMIT, ScalarRow
+from rbjax.dynamics.algorithms.crba import mass_matrix_rows
+from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
+from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
+from rbjax.dynamics.drivers.unrolled import Unrolled
+from rbjax.dynamics.tracing.custom_rules import is_traced
+from rbjax.forces.impedance import impedance, reference, regularisation
+from rbjax.lanes import Lane, Vec3, mul, neg, quaternion_matrix, sub, total
+from rbjax.model import WORLD, Model, prepare
+from rbjax.model.links import lane
+from rbjax.spatial import Transform
+
+
+class Touching(NamedTuple):
+    """The links and geoms of a model that can touch.
+
+    Fields:
+        geoms: the geoms of all pairs.
+        links: the links that carry them, without the world.
+        of_geom: geom -> link, or WORLD.
+        link_pairs: the different pairs of links, the smaller index first.
+        pair_of: the index in `link_pairs` of each pair of geoms.
+    """
+
+    geoms: list[int]
+    links: list[int]
+    of_geom: dict[int, int]
+    link_pairs: list[tuple[int, int]]
+    pair_of: list[int]
+
+    @classmethod
+    def of(cls, model: Model) -> Touching:
+        """Find the links and geoms of the pairs of a model."""
+        own, links = model.geoms, model.topology.body_links
+        pairs = () if own is None else own.pairs
+        geoms = sorted({g for pair in pairs for g in pair})
+        bodies = {g: own.bodies[g] for g in geoms}
+        of_geom = {g: WORLD if b == WORLD else links[b] for g, b in bodies.items()}
+        both = [tuple(sorted((of_geom[a], of_geom[b]))) for a, b in pairs]
+        link_pairs = sorted(set(both))
+        touching = sorted(set(of_geom.values()) - {WORLD})
+        return cls(geoms, touching, of_geom, link_pairs, [link_pairs.index(x) for x in both])
+
+
+class Assembly:
+    """The parts of the contact problem of a model at (q, v), in world axes about one origin.
+
+    The origin is the last link of the first body that moves.
+    """
+
+    def __init__(self, model: Model, q: jax.Array, v: jax.Array):
+        self.model, self.q, self.v, self.top = model, q, v, model.topology
+        self.d = Unrolled(model, prepare(model, q.dtype))
+        self.joints = self.d.joints(q, v)
+        poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
+        self._origin = poses[min(self.top.last_links.values())].p
+        self._poses = [Transform(x.R, x.p - self._origin) for x in poses]
+        self.touching = Touching.of(model)
+
+    def problem(self, tau: jax.Array, f_ext: LinkForces | None) -> Problem:
+        """Return the problem for applied forces. Contacts are not yet detected."""
+        d, dtype = self.d, self.q.dtype
+        bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
+        rhs = [sub(t, b) for t, b in zip(d.lanes(tau), bias, strict=True)]
+        world = self._world() if self.touching.geoms else None
+        return Problem(self._tree(), rhs, self._sets(), self._rows(), world, dtype)
+
+    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> list[Lane]:
+        """Compute M a + b - J^T f_ext."""
+        d = self.d
+        return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
+
+    def _tree(self) -> Tree:
+        both = zip(self._poses, self.joints, strict=True)
+        S = [pose.motion_to_parent(joint.S) for pose, joint in both]
+        M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
+        links = self.touching.links, self.touching.link_pairs
+        return Tree(self.top.parents, self.top.ancestors, S, M, *links)
+
+    def _world(self) -> World:
+        own, rows = columns(self.model.geoms), []
+        for g, link in self.touching.of_geom.items():
+            placed = Transform(
+                quaternion_matrix(*_row(own.orientation, g)), Vec3(*_row(own.position, g))
+            )
+            if own.bodies[g] != WORLD:
+                placed = self.d.prepared.weld(own.bodies[g]).then(placed)
+            if link == WORLD:
+                placed = Transform(placed.R, placed.p - self._origin)
+            else:
+                placed = self._poses[link].then(placed)
+            rows.append([*placed.R, *placed.p, *_row(own.size, g)])
+        twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in self.touching.links]
+        dtype = self.q.dtype
+        return World(stacked(rows, dtype), stacked([*twists, [0.0] * 6], dtype))
+
+    @cached_property
+    def _weights(self) -> tuple[Any, Any]:
+        return inverse_weights(self.model, self.q.dtype)
+
+    def _sets(self) -> list[ContactSet]:
+        geoms, touching = self.model.geoms, self.touching
+        if not touching.geoms:
+            return []
+        given = pair_parameters(geoms, geoms.pairs)
+        body, _ = self._weights
+        zero = jnp.zeros(1, body.dtype) if is_traced(body) else np.zeros(1)
+        of_body = (jnp if is_traced(body) else np).concatenate([body[:, 0], zero])
+        weights = of_body[np.array([[geoms.bodies[g] for g in pair] for pair in geoms.pairs])]
+        links = {link: k for k, link in enumerate(touching.links)} | {WORLD: len(touching.links)}
+        place = {g: k for k, g in enumerate(touching.geoms)}
+        pairs = geoms.pairs
+        tables = (
+            np.array([[place[g] for g in pair] for pair in pairs], np.int32),
+            np.array([[links[touching.of_geom[g]] for g in pair] for pair in pairs], np.int32),
+            np.array(touching.pair_of, np.int32),
+            given, weights.sum(-1), self._options, self.q.dtype,
+        )  # fmt: skip
+        sets = []
+        for dim in sorted(set(given.condim)):
+            kinds: dict[tuple[str, str], list[int]] = {}
+            for n, (a, b) in enumerate(pairs):
+                if given.condim[n] == dim:
+                    kinds.setdefault((geoms.types[a], geoms.types[b]), []).append(n)
+            sets.append(ContactSet(dim, kinds, *tables))
+        return sets
+
+    @property
+    def _options(self) -> Options:
+        own: Any = self.model.solver
+        impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
+        return Options(own.cone == "elliptic", impratio, self.model.timestep, own.refsafe)
+
+    def _rows(self) -> list[ScalarRow]:
+        """Return the rows of limits and friction loss."""
+        own = columns(self.model.solver)
+        rows = [row for j in own.limited for row in self._limits(own, j)]
+        for i in own.rubbing:
+            solref, solimp = _row(own.friction_solref, i), _row(own.friction_solimp, i)
+            D, a = self._row(0.0, self.v[i], i, solref, solimp)
+            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, lane(own.frictionloss, i)))
+        return rows
+
+    def _limits(self, own: Any, j: int) -> list[ScalarRow]:
+        low, high = _row(columns(self.model.joints.range), j)
+        margin, i, k = lane(own.limit_margin, j), self.top.joint_v[j], self.top.joint_q[j]
+        if self.top.joints[j].quaternion:
+            angle, axis = _angle_and_axis(*(self.q[k + n] for n in range(4)))
+            ends = [(high - angle, {i + n: neg(x) for n, x in enumerate(axis)})]
+        else:
+            ends = [(self.q[k] - low, {i: 1.0}), (high - self.q[k], {i: -1.0})]
+        rows = []
+        for distance, J in ends:
+            active = distance < margin
+            r = jnp.where(active, distance - margin, 0.0)
+            rate = total(mul(x, self.v[n]) for n, x in J.items())
+            D, a = self._row(r, rate, i, _row(own.limit_solref, j), _row(own.limit_solimp, j))
+            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a))
+        return rows
+
+    def _row(
+        self, r: Lane, rate: Lane, dof: int, solref: list[Lane], solimp: list[Lane]
+    ) -> tuple[Lane, Lane]:
+        """Compute inverse regularization and reference acceleration of a row on a dof."""
+        d = impedance(r, solimp)
+        shared = self._options
+        a = reference(r, rate, d, solref, solimp, shared.dt, refsafe=shared.refsafe)
+        return 1.0 / regularisation(d, lane(self._weights[1], dof)), a
+
+
+def columns(tree: Any) -> Any:
+    """Convert concrete leaves to numpy arrays, whose entries are literals."""
+    return jax.tree.map(lambda x: x if is_traced(x) else np.asarray(x, np.float64), tree)
+
+
+def _row(table: Any, i: int) -> list[Lane]:
+    return [lane(table[i], k) for k in range(table.shape[1])]
+
+
+def _angle_and_axis(w: Lane, x: Lane, y: Lane, z: Lane) -> tuple[Lane, Vec3]:
+    """Compute the angle in [0, pi] and the axis of a unit quaternion."""
+    sign = jnp.where(w < 0, -1.0, 1.0)
+    u = Vec3(x, y, z) * sign
+    square = u.dot(u)
+    small = square < 1e-24
+    s = jnp.sqrt(jnp.where(small, 1.0, square))
+    axis = [jnp.where(small, e, a / s) for a, e in zip(u, (1.0, 0.0, 0.0), strict=True)]
+    return jnp.where(small, 0.0, 2.0 * jnp.arctan2(s, w * sign)), Vec3(*axis)

@@ -1,0 +1,267 @@
+"""Rows of the contact problem that belong to contacts of geoms.
+
+A loop over the pairs of geoms runs the narrow phase and stores the rows of the active contacts in
+consecutive slots. All further loops run over the active contacts, so their cost follows the number
+of contacts and not of candidates. There is a slot for each candidate, so no contact is lost.
+
+Rows are in world axes about one origin o near the robot. With b_k = [(p - o) x e_k; e_k] for the
+axes e_k of a contact at p, and the twists V of its two links about o,
+
+    J v = b_k . (V_2 - V_1),    J^T f: the wrench sum of b_k f_k on link 2, its opposite on link 1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.contact.cones import Cone
+from rbjax.contact.narrow_phase import COUNTS, PAIRS
+from rbjax.contact.shapes import Contact, Shape, contact_frame
+from rbjax.forces.impedance import impedance, reference, regularisation
+from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total
+from rbjax.spatial import ArticulatedInertia, Force, Motion
+
+
+class Row(NamedTuple):
+    """The rows of one contact, on lanes.
+
+    Fields:
+        pair: index of its pair of geoms.
+        axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
+        D: inverse regularization of the normal row, 0 if the contact is not active.
+        reference: reference acceleration of each row.
+    """
+
+    pair: Any
+    axes: list[Motion]
+    D: Lane
+    reference: list[Lane]
+
+    def along(self, y: Motion) -> list[Lane]:
+        """Compute b_k . y for each row."""
+        return [axis.dot(y) for axis in self.axes]
+
+    def wrench(self, f: Sequence[Lane]) -> Force:
+        """Compute the wrench sum of b_k f_k."""
+        components = zip(*map(list, self.axes), strict=True)
+        return Force.from_lanes(
+            [total(mul(x, y) for x, y in zip(row, f, strict=True)) for row in components]
+        )
+
+    def stiffness(self, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
+        """Compute the sum of b_k H_kl b_l^T, from the lower triangle of H."""
+        out, n = ArticulatedInertia.zero(), len(self.axes)
+        for k, axis in enumerate(self.axes):
+            row = [H[max(k, j)][min(k, j)] for j in range(n)]
+            out = out + ArticulatedInertia.outer(Force(axis.ang, axis.lin), self.wrench(row))
+        return out
+
+
+class Options(NamedTuple):
+    """Options that all contacts of a problem share.
+
+    Fields:
+        elliptic: whether friction cones are elliptic or pyramids.
+        impratio: ratio of the impedance of friction to that of the normal row.
+        dt: step in s, from which the least time constant of a contact follows.
+        refsafe: whether time constants are at least two steps.
+    """
+
+    elliptic: bool
+    impratio: Lane
+    dt: Any
+    refsafe: bool
+
+
+class World(NamedTuple):
+    """The geoms and links that can touch, about the common origin.
+
+    Fields:
+        geoms: (n, 15) rotation, position and size of each geom.
+        twists: (n, 6) twist of each link; the last one is the world.
+    """
+
+    geoms: jax.Array
+    twists: jax.Array
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """All pairs of geoms whose contacts have the same number of rows, with their parameters.
+
+    Fields:
+        dim: the number of rows of a contact, 1, 3, 4 or 6.
+        kinds: the two kinds of geoms -> indices of their pairs.
+        geoms, links: index of both geoms and both links of each pair (n, 2) in `World`.
+        link_pairs: index of the pair of links of each pair of geoms (n,).
+        parameters: `PairParameters` of all pairs.
+        weights: (n,) sum of the translational inverse weights of both bodies.
+    dtype: of all arrays.
+    """
+
+    dim: int
+    kinds: dict[tuple[str, str], list[int]]
+    geoms: np.ndarray
+    links: np.ndarray
+    link_pairs: np.ndarray
+    parameters: Any
+    weights: Any
+    options: Options
+    dtype: Any
+
+    @property
+    def candidates(self) -> int:
+        """The number of candidate contacts."""
+        return sum(COUNTS[kind] * len(pairs) for kind, pairs in self.kinds.items())
+
+    def cone(self, row: Row) -> Cone:
+        """Return the friction cone of a contact."""
+        mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
+        return Cone(self.options.elliptic, row.D, tuple(mu), self.options.impratio)
+
+    def relative(self, row: Row, twists: jax.Array) -> Motion:
+        """Compute the twist of the second link of a contact relative to the first one."""
+        one, other = (twists[_entry(self.links[:, k], row.pair)] for k in (0, 1))
+        return Motion.from_lanes([other[k] - one[k] for k in range(6)])
+
+    def add_wrench(self, row: Row, wrenches: jax.Array, wrench: Force) -> jax.Array:
+        """Add a wrench on the second link of a contact and its opposite on the first link."""
+        lanes = jnp.stack(list(wrench))
+        one, other = (_entry(self.links[:, k], row.pair) for k in (0, 1))
+        return wrenches.at[one].add(-lanes).at[other].add(lanes)
+
+    def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
+        """Add K to the sum (n, 21) of the pair of links of a contact."""
+        lanes = jnp.stack([*K.J, *K.H, *K.M])
+        return sums.at[_entry(self.link_pairs, row.pair)].add(lanes)
+
+    def scan(self, world: World, step: Callable[[Any, Row, Any], Any], carry: Any) -> Any:
+        """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
+        for kind, pairs in self.kinds.items():
+
+            def of_pair(carry: Any, pair: Any, kind: Any = kind) -> tuple[Any, None]:
+                one, other = (_shape(world.geoms[_entry(self.geoms[:, k], pair)]) for k in (0, 1))
+                margin = self._lane(self.parameters.margin, pair)
+                reach = margin + self._lane(self.parameters.gap, pair)
+                for contact in PAIRS[kind](one, other, reach):
+                    active = contact.exists & (contact.distance < margin)
+                    carry = step(carry, self._row(world, contact, pair, margin, active), active)
+                return carry, None
+
+            if len(pairs) == 1:
+                carry, _ = of_pair(carry, pairs[0])
+            else:
+                carry, _ = jax.lax.scan(of_pair, carry, jnp.asarray(pairs))
+        return carry
+
+    def _row(self, world: World, contact: Contact, pair: Any, margin: Lane, active: Any) -> Row:
+        e, p = contact_frame(contact.normal, contact.tangent), contact.position
+        axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
+        row = Row(pair, axes[: self.dim], 0.0, [])
+        v = row.along(self.relative(row, world.twists))
+        r = jnp.where(active, contact.distance - margin, 0.0)
+        D, references = self._reference(row, r, v)
+        return row._replace(D=jnp.where(active, D, 0.0), reference=references)
+
+    def _reference(self, row: Row, r: Lane, v: list[Lane]) -> tuple[Lane, list[Lane]]:
+        """Compute the inverse regularization and the reference accelerations of a contact.
+
+        r: distance less margin, m. v: velocity of each row.
+        """
+        given, options, pair = self.parameters, self.options, row.pair
+        solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
+        d, weight, mu = impedance(r, solimp), self._lane(self.weights, pair), self.cone(row).mu
+
+        def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
+            return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
+
+        out, sliding = [towards(r, v[0], solref)], solref
+        if mu and not options.elliptic:
+            factor = 2.0 * mu[0] * mu[0] / options.impratio
+            R = regularisation(d, weight * (1.0 + mu[0] * mu[0])) * factor
+        else:
+            R = regularisation(d, weight)
+            sliding = _first_nonzero(self._lanes(given.solreffriction, pair), solref)
+        return 1.0 / R, out + [towards(0.0, x, sliding) for x in v[1:]]
+
+    def _lanes(self, table: Any, pair: Any) -> list[Lane]:
+        """Return the row of a pair in a table (n, m) as lanes."""
+        found = _entry(table, pair)
+        if isinstance(found, np.ndarray):
+            return [float(x) for x in found]
+        return list(found.astype(self.dtype))
+
+    def _lane(self, table: Any, pair: Any) -> Lane:
+        """Return the entry of a pair in a table (n,) as a lane."""
+        found = _entry(table, pair)
+        return float(found) if isinstance(found, np.generic) else found.astype(self.dtype)
+
+
+class Slots(NamedTuple):
+    """The active contacts of a set, in consecutive slots.
+
+    Fields:
+        count: the number of active contacts.
+        rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
+        pairs: (n,) the pair of geoms of each slot.
+    """
+
+    count: jax.Array
+    rows: jax.Array
+    pairs: jax.Array
+
+    @classmethod
+    def collect(cls, contacts: ContactSet, world: World) -> Slots:
+        """Run the narrow phase of a set and store the active contacts."""
+        n, m, dtype = contacts.candidates, 7 * contacts.dim + 1, world.geoms.dtype
+        like = jnp.zeros(m, dtype)
+
+        def store(slots: Slots, row: Row, active: Any) -> Slots:
+            # the next contact overwrites one that is not active
+            lanes = [x for axis in row.axes for x in axis]
+            values = pack([*lanes, row.D, *row.reference], like)
+            rows = slots.rows.at[slots.count].set(values)
+            pairs = slots.pairs.at[slots.count].set(jnp.asarray(row.pair, jnp.int32))
+            return Slots(slots.count + jnp.asarray(active, jnp.int32), rows, pairs)
+
+        none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32))
+        return contacts.scan(world, store, none)
+
+    def row(self, k: Any, dim: int) -> Row:
+        """Return the row of a slot."""
+        x = self.rows[k]
+        lanes = [x[i] for i in range(7 * dim + 1)]
+        axes = [Motion.from_lanes(lanes[6 * i : 6 * i + 6]) for i in range(dim)]
+        return Row(self.pairs[k], axes, lanes[6 * dim], lanes[6 * dim + 1 :])
+
+    def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
+        """Run carry = step(k, carry) over the active slots."""
+        return jax.lax.fori_loop(0, self.count, step, carry)
+
+
+def _first_nonzero(a: Sequence[Lane], b: Sequence[Lane]) -> Sequence[Lane]:
+    """Return the pair a, or b if both entries of a are zero."""
+    if all(map(is_literal, a)):
+        return a if any(a) else b
+    given = (a[0] != 0) | (a[1] != 0)
+    return [jnp.where(given, x, y) for x, y in zip(a, b, strict=True)]
+
+
+def _shape(row: jax.Array) -> Shape:
+    lanes = [row[k] for k in range(15)]
+    return Shape(Vec3(*lanes[9:12]), Mat3(*lanes[:9]), Vec3(*lanes[12:]))
+
+
+def _entry(table: Any, index: Any) -> Any:
+    """Return a row of a table, without a gather if the table or the index is constant."""
+    if not isinstance(table, np.ndarray):
+        return table[index]
+    if (table == table[:1]).all():
+        return table[0]
+    return table[index] if isinstance(index, int) else jnp.asarray(table)[index]

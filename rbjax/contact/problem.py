@@ -1,0 +1,199 @@
+"""The convex problem of soft contact at a state, with the tree's sparsity.
+
+    min over x of  (x - a_s)^T M (x - a_s) / 2 + sum of s_i(J_i x - a_ref,i),    M a_s = tau - b
+
+x is the joint acceleration, s_i the costs of contacts (`cones`) and of limits, friction loss and
+equalities (`scalar_rows`). Its gradient is M x - (tau - b) - J^T f (MuJoCo, *Computation*).
+
+The Hessian M + J^T H J has the pattern of M if all contacts are with the world: a contact adds the
+6 by 6 matrix K = sum of b_k H_kl b_l^T to the composite inertia of its link. A contact of two links
+couples the two paths from their nearest common ancestor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.contact.contact_rows import ContactSet, Slots, World
+from rbjax.contact.scalar_rows import ScalarRow
+from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, inner, is_zero, mul, sub, unpack
+from rbjax.lanes.factorization import LDLT, ldlt
+from rbjax.model import WORLD
+from rbjax.spatial import ArticulatedInertia, Force, Motion
+
+
+class Tree(NamedTuple):
+    """The tree of a robot at a configuration, in world axes about one origin.
+
+    Fields:
+        parents: the parent of each link, or WORLD.
+        ancestors: the path from the root to each link.
+        S: axis of each dof.
+        M: rows of the lower triangle of the mass matrix.
+        touching: the links that can touch, in the order of `World.twists`.
+        link_pairs: pairs of links that can touch, as links of the tree or WORLD.
+    """
+
+    parents: Sequence[int]
+    ancestors: Sequence[Sequence[int]]
+    S: list[Motion]
+    M: list[list[Lane]]
+    touching: Sequence[int]
+    link_pairs: Sequence[tuple[int, int]]
+
+    def times_M(self, x: list[Lane]) -> list[Lane]:
+        """Compute M x."""
+        out: list[Lane] = [0.0] * len(x)
+        for i, row in enumerate(self.M):
+            for j, m in enumerate(row):
+                out[i] = add(out[i], mul(m, x[j]))
+                if j < i:
+                    out[j] = add(out[j], mul(m, x[i]))
+        return out
+
+    def twists(self, x: list[Lane], dtype: Any) -> jax.Array:
+        """Compute the twists (n + 1, 6) of the links that can touch and of the world at joint
+        velocities x."""
+        found: dict[int, Motion] = {}
+        for link in self.touching:
+            for i in self.ancestors[link]:
+                if i not in found:
+                    own, parent = self.S[i] * x[i], self.parents[i]
+                    found[i] = own if parent == WORLD else found[parent] + own
+        lanes = [list(found[i]) for i in self.touching]
+        return stacked([*lanes, [0.0] * 6], dtype)
+
+    def generalized(self, wrenches: jax.Array) -> list[Lane]:
+        """Compute J^T f from the wrenches (n + 1, 6) on the links that can touch."""
+        sums: dict[int, Force] = {}
+        for k, link in enumerate(self.touching):
+            sums[link] = Force.from_lanes([wrenches[k, c] for c in range(6)])
+        sums = self._subtree_sums(sums)
+        return [S.dot(sums[i]) if i in sums else 0.0 for i, S in enumerate(self.S)]
+
+    def _subtree_sums(self, values: dict[int, Any]) -> dict[int, Any]:
+        """Sum values of links over the subtree of each link."""
+        out = dict(values)
+        for i in reversed(range(len(self.S))):
+            parent = self.parents[i]
+            if i in out and parent != WORLD:
+                out[parent] = out[parent] + out[i] if parent in out else out[i]
+        return out
+
+    def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> LDLT:
+        """Factorize M + J^T H J.
+
+        stiffness: (n, 21) K of each pair of links. rows: scalar rows with their Hessians.
+        """
+        A = [list(row) for row in self.M]
+        K = [_inertia([k[c] for c in range(21)]) for k in unpack(stiffness)]
+        fixed: dict[int, Any] = {}
+        for (a, b), k in zip(self.link_pairs, K, strict=True):
+            if WORLD in (a, b):
+                link = b if a == WORLD else a
+                fixed[link] = fixed[link] + k if link in fixed else k
+                continue
+            one, other = set(self.ancestors[a]), set(self.ancestors[b])
+            signs = {i: 1.0 if i in other else -1.0 for i in sorted(one ^ other)}
+            _add_products(A, k, {i: self.S[i] * s for i, s in signs.items()}, list(signs))
+        for i, k in self._subtree_sums(fixed).items():
+            F = fusion_barrier(k(self.S[i]))
+            for j in self.ancestors[i]:
+                A[i][j] = add(A[i][j], self.S[j].dot(F))
+        for row, h in rows:
+            for i, x in row.J.items():
+                for j, y in row.J.items():
+                    if j <= i:
+                        A[i][j] = add(A[i][j], mul(mul(h, x), y))
+        return ldlt(A)
+
+
+def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> None:
+    """Add S_i^T K S_j to the lower triangle of A."""
+    for at, i in enumerate(order):
+        F = fusion_barrier(K(S[i]))
+        for j in order[: at + 1]:
+            A[i][j] = add(A[i][j], S[j].dot(F))
+
+
+def _inertia(lanes: list[Lane]) -> ArticulatedInertia:
+    return ArticulatedInertia(Sym3(*lanes[:6]), Mat3(*lanes[6:15]), Sym3(*lanes[15:]))
+
+
+def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
+    """Stack rows of lanes to an array."""
+    flat = [jnp.asarray(x, dtype) for row in rows for x in row]
+    return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
+
+
+@dataclass
+class Problem:
+    """The convex problem at a state.
+
+    Fields:
+        tree: the tree in world axes.
+        rhs: tau - b of each dof.
+        sets: contacts by their number of rows.
+        rows: limits, friction loss and equalities.
+        world: geoms and twists, for the narrow phase.
+        dtype: of all arrays.
+    """
+
+    tree: Tree
+    rhs: list[Lane]
+    sets: list[ContactSet]
+    rows: list[ScalarRow]
+    world: World
+    dtype: Any
+    slots: list[Slots] = field(default_factory=list)
+
+    def detect(self) -> None:
+        """Find the active contacts."""
+        self.slots = [Slots.collect(contacts, self.world) for contacts in self.sets]
+
+    def constraint_forces(self, x: list[Lane]) -> list[Lane]:
+        """Compute J^T f at x from all candidates; reverse-mode derivatives exist."""
+        twists = self.tree.twists(x, self.dtype)
+        wrenches = jnp.zeros_like(twists)
+        for contacts in self.sets:
+
+            def push(wrenches: jax.Array, row: Any, active: Any, of: Any = contacts) -> jax.Array:
+                r = residual(of, row, twists)
+                f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
+                return of.add_wrench(row, wrenches, row.wrench(f))
+
+            wrenches = contacts.scan(self.world, push, wrenches)
+        out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
+        for row in self.rows:
+            f, _ = row.response(sub(row.along(x), row.reference))
+            out = add_row(out, row, f)
+        return out
+
+
+def residual(contacts: ContactSet, row: Any, twists: jax.Array) -> list[Lane]:
+    """Compute J x - a_ref of a contact from the link twists at x."""
+    y = row.along(contacts.relative(row, twists))
+    return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
+
+
+def add_row(out: list[Lane], row: ScalarRow, f: Lane) -> list[Lane]:
+    """Add J^T f of a scalar row."""
+    out = list(out)
+    for i, x in row.J.items():
+        out[i] = add(out[i], mul(x, f))
+    return out
+
+
+def dot(a: Sequence[Lane], b: Sequence[Lane]) -> Lane:
+    """Compute the inner product of two lists of lanes."""
+    return inner(a, b)
+
+
+def is_empty(K: Any) -> bool:
+    """Return True if all entries are structural zeros."""
+    return all(is_zero(x) for x in jax.tree.leaves(K))

@@ -1,0 +1,1 @@
+"""Tendons: paths around geoms, lengths and moment arms, springs."""

@@ -1,0 +1,110 @@
+"""Springs and dampers of the tendons of a model.
+
+    x = l - l_high  if l > l_high,    l - l_low  if l < l_low,    else 0
+    F = x (k_0 + k_1 x + ...) + l' (d_0 + d_1 |l'| + ...),      tau_n = -r_n F
+(MuJoCo, *Computation*, passive forces.) l is the length of the tendon and r_n its moment arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax.numpy as jnp
+
+from rbjax.forces.context import Context
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.joints.polynomials import polynomial
+from rbjax.forces.place import Place
+from rbjax.forces.springs import PointSpring, coefficients, stretch
+from rbjax.forces.tendons.paths import tendon_reach
+from rbjax.lanes import Lane, add, is_zero, mul, neg, total
+from rbjax.model import Model
+from rbjax.model.leaves import table
+
+
+class TendonSprings(Element):
+    """The springs and dampers of `model.tendons`. Tendons without stiffness and damping cost
+    nothing if their parameters are compile-time constants."""
+
+    def loads(self, context: Context) -> Loads:
+        out = Loads()
+        for i, k, d in _springs(context):
+            direct = _point_spring(context.model, i)
+            if direct is not None:
+                out = out + direct.loads(context)
+                continue
+            reach, force = tendon_reach(context, i), _force(context, i, k, d)
+            out = out + Loads({n: neg(mul(arm, force)) for n, arm in reach.arms.items()})
+        return out
+
+    def energy(self, context: Context) -> Lane:
+        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        return total(_energy(context, i, k) for i, k, _ in _springs(context))
+
+
+def spring_forces(context: Context) -> dict[int, Lane]:
+    """Compute the forces of the springs and dampers of tendons, positive if they pull."""
+    if context.model.tendons is None:
+        return {}
+    return {i: _force(context, i, k, d) for i, k, d in _springs(context)}
+
+
+def _force(context: Context, i: int, k: list[Lane], d: list[Lane]) -> Lane:
+    reach = tendon_reach(context, i)
+    force: Lane = 0.0
+    if not all(map(is_zero, k)):
+        x = _stretch(context, i, reach.length)
+        force = mul(add(k[0], polynomial(k[1:], x)), x)
+    if not all(map(is_zero, d)):
+        rate = jnp.asarray(reach.speed(context), context.q.dtype)
+        size = jnp.abs(rate) if len(d) > 1 else 0.0
+        force = add(force, mul(add(d[0], polynomial(d[1:], size)), rate))
+    return force
+
+
+#: the element of all tendons of a model; it has no parameters of its own
+TENDON_SPRINGS = TendonSprings()
+
+
+def tendon_springs(model: Model) -> tuple[Element, ...]:
+    """Return the element of the springs and dampers of a model's tendons, if it has tendons."""
+    return () if model.tendons is None else (TENDON_SPRINGS,)
+
+
+def _springs(context: Context) -> Iterator[tuple[int, list[Lane], list[Lane]]]:
+    """Iterate over the tendons with stiffness or damping: index and polynomial coefficients."""
+    own: Any = context.model.tendons
+    dtype = context.q.dtype
+    stiffness, damping = table(own.stiffness, dtype), table(own.damping, dtype)
+    for i in range(len(own.names)):
+        k, d = coefficients(stiffness[i], dtype), coefficients(damping[i], dtype)
+        if not all(map(is_zero, (*k, *d))):
+            yield i, k, d
+
+
+def _point_spring(model: Model, i: int) -> PointSpring | None:
+    """Return the spring of a tendon between two sites, or None if the tendon has another path. At
+    the length zero its force is smooth if the spring has no length."""
+    own: Any = model.tendons
+    if [x.kind for x in own.paths[i]] != ["site", "site"]:
+        return None
+    a, b = (Place.on(site=x.index) for x in own.paths[i])
+    return PointSpring(a, b, own.stiffness[i], own.damping[i], own.springlength[i])
+
+
+def _energy(context: Context, i: int, k: list[Lane]) -> Lane:
+    direct = _point_spring(context.model, i)
+    if direct is not None:
+        return direct.energy(context)
+    if all(map(is_zero, k)):
+        return 0.0
+    x = _stretch(context, i, tendon_reach(context, i).length)
+    shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
+    return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
+
+
+def _stretch(context: Context, i: int, length: Lane) -> Lane:
+    own: Any = context.model.tendons
+    length = jnp.asarray(length, context.q.dtype)
+    return stretch(length, 1.0, table(own.springlength, context.q.dtype)[i], context.q.dtype)[0]

@@ -1,0 +1,72 @@
+"""Tendons: cables along which actuators, springs, dampers and limits act."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+
+from rbjax.model.record import Record
+
+
+class Waypoint(NamedTuple):
+    """One element of the path of a tendon.
+
+    kind: "joint" of a fixed tendon; "site", "geom" or "pulley" of a spatial tendon.
+    index: index of the joint, site or geom; -1 for a pulley.
+    side: index of the side site of a geom, or -1.
+    """
+
+    kind: str
+    index: int = -1
+    side: int = -1
+
+
+class Tendons(Record):
+    """The tendons of a model, with MuJoCo's parameters.
+
+    A fixed tendon has the length l = sum of c_k q_k over hinges and slides. A spatial tendon is the
+    shortest path through its sites and around its spheres and cylinders; the lengths of the
+    branches after a pulley are divided by its divisor. `rb.tendon_lengths` computes l.
+
+    Fields:
+        coefficients: (nc,) c_k of each joint and divisor of each pulley, in the order of the paths.
+        stiffness: (nt, s) k_0, k_1, ... of the spring, N/m, N/m^2, ...
+        damping: (nt, c) d_0, d_1, ... of the damper, N s/m, N s^2/m^2, ...
+        springlength: (nt, 2) m, the lengths between which the spring is slack.
+        range: (nt, 2) m, limits of the length; infinite for none.
+        forcerange: (nt, 2) N, limits of the sum of the actuator forces; infinite for none.
+        frictionloss: (nt,) N.
+        armature: (nt,) kg, the inertia of the change of length.
+        limit_margin: (nt,) m, distance before a limit at which it begins to act.
+        limit_solref, limit_solimp: (nt, 2) and (nt, 5), softness of the limits, as in MuJoCo.
+        friction_solref, friction_solimp: the same of the friction loss.
+        length0: (nt,) m, length in the file's configuration, from which equalities are measured.
+        names: of each tendon; static.
+        paths: the waypoints of each tendon; static.
+        limited, rubbing: the tendons with limits and with friction loss; static.
+    """
+
+    coefficients: jax.Array
+    stiffness: jax.Array
+    damping: jax.Array
+    springlength: jax.Array
+    range: jax.Array
+    forcerange: jax.Array
+    frictionloss: jax.Array
+    armature: jax.Array
+    limit_margin: jax.Array
+    limit_solref: jax.Array
+    limit_solimp: jax.Array
+    friction_solref: jax.Array
+    friction_solimp: jax.Array
+    length0: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+    paths: tuple[tuple[Waypoint, ...], ...] = eqx.field(static=True)
+    limited: tuple[int, ...] = eqx.field(static=True, default=())
+    rubbing: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def first_coefficient(self, tendon: int) -> int:
+        """Return the index of the first coefficient of a tendon."""
+        return sum(x.kind in ("joint", "pulley") for path in self.paths[:tendon] for x in path)

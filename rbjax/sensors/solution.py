@@ -1,0 +1,113 @@
+"""The accelerations and forces at an instant that sensors read, each computed on first use.
+
+    M a + b = tau + sum of J_i^T f_i + G^T l
+The dynamics gives a. Forces of constraints and contacts act on bodies; force sensors subtract them
+from the rate of momentum of a subtree.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.reactions import body_reactions
+from rbjax.forces.context import Context
+from rbjax.forces.inputs import Inputs
+from rbjax.lanes import Vec3, fusion_barrier
+from rbjax.lanes.arrays import unpack
+from rbjax.motion.field import Field, dynamics_of, free_motion
+from rbjax.sensors.contact_forces import ContactForces, wrenches_of_contacts
+from rbjax.sensors.tendon_forces import wrenches_of_tendons
+from rbjax.spatial import Force
+
+
+class Solution:
+    """The accelerations of a robot at an instant, and the forces of its constraints and contacts.
+
+    A dynamics with contacts has a method `contact_forces(model, t, state, tau, f_ext)` that returns
+    `ContactForces`; without it no contact force acts.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        inputs: Inputs | None = None,
+        dynamics: Any = None,
+        *,
+        contacts: ContactForces | None = None,
+        acceleration: Any = None,
+    ):
+        self.context = context
+        self.inputs = Inputs(context.ctrl) if inputs is None else inputs
+        self._dynamics, self._contacts, self._acceleration = dynamics, contacts, acceleration
+
+    @cached_property
+    def _field(self) -> Field:
+        dynamics, model = self._dynamics, self.context.model
+        if dynamics is None:
+            dynamics = dynamics_of("acceleration", model, free_motion, None)
+        return Field(model, dynamics, self.context.dt)
+
+    @cached_property
+    def acceleration(self) -> jax.Array:
+        """The acceleration v' (nv,)."""
+        if self._acceleration is not None:
+            return self._acceleration
+        now = self.context
+        if not now.model.nv:
+            return jnp.zeros(0, now.q.dtype)
+        a, _ = self._field.rates(now.t, now.state, self.inputs)
+        return jnp.stack(fusion_barrier(list(a)))
+
+    @cached_property
+    def accelerated(self) -> Context:
+        """The context with the acceleration."""
+        return self.context.accelerating(self.acceleration)
+
+    @cached_property
+    def contacts(self) -> ContactForces | None:
+        """The contact forces, or None if the dynamics has no contacts."""
+        forces = getattr(self._dynamics, "contact_forces", None)
+        if self._contacts is not None or forces is None:
+            return self._contacts
+        now = self.context
+        tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
+        return forces(now.model, now.t, now.state, tau, f_ext)
+
+    @cached_property
+    def body_wrenches(self) -> dict[int, Force]:
+        """The given wrenches and the forces of constraints, spatial tendons and contacts on bodies,
+        by body, in world axes at the body's origin."""
+        now, out = self.context, {}
+        if self.inputs.wrenches is not None:
+            for b, row in enumerate(unpack(self.inputs.wrenches)):
+                out[b] = Force(
+                    Vec3(*(row[k] for k in range(3))), Vec3(*(row[k] for k in (3, 4, 5)))
+                )
+        parts = [wrenches_of_tendons(now)]
+        if self.contacts is not None:
+            parts.append(wrenches_of_contacts(now, self.contacts))
+        if now.model.constraints:
+            parts.append(
+                body_reactions(now, *self._field.applied(now.t, now.state, self.inputs)[:2])
+            )
+        for part in parts:
+            for b, wrench in part.items():
+                out[b] = out[b] + wrench if b in out else wrench
+        return out
+
+
+def solution_of(context: Context) -> Solution:
+    """Return the solution of a context: the one that it has, or that of the default dynamics."""
+    if context.solution is not None:
+        return context.solution
+    return context.once(solution_of, lambda: Solution(context))
+
+
+def with_solution(context: Context, inputs: Inputs, dynamics: Any) -> Context:
+    """Return a copy of a context whose sensors read the motion of a dynamics under inputs."""
+    return dataclasses.replace(context, solution=Solution(context, inputs, dynamics))

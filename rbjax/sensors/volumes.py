@@ -1,0 +1,126 @@
+"""Sensors of the volume of a site: whether a frame is inside, and the touch force.
+
+    insidesite   1 if a point is inside the shape of a site, else 0
+    touch        the sum of the normal forces of contacts of the site's body whose line of action,
+                 from the point of contact into the body, meets the shape of the site
+(MuJoCo, *XML reference*, sensor.)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.forces.context import Context
+from rbjax.lanes import Lane, Vec3
+from rbjax.model import Model
+from rbjax.model.leaves import frame_transform
+from rbjax.sensors.fixed import FrameSensor, named_frame, reading
+from rbjax.sensors.protocol import register
+from rbjax.sensors.rays import INTERSECTIONS
+from rbjax.sensors.solution import solution_of
+
+
+class Volume(NamedTuple):
+    """The shape of a site.
+
+    kind: "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+    size: as of a geom, m.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+
+    def contains(self, p: Vec3) -> Lane:
+        """Return whether a point in the frame of the site is inside."""
+        x, y, z = p
+        a, b, c = (*self.size, 0.0, 0.0)[:3]
+        if self.kind == "sphere":
+            return x * x + y * y + z * z <= a * a
+        if self.kind == "ellipsoid":
+            return (x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2 <= 1
+        if self.kind == "box":
+            return (jnp.abs(x) <= a) & (jnp.abs(y) <= b) & (jnp.abs(z) <= c)
+        if self.kind == "cylinder":
+            return (x * x + y * y <= a * a) & (jnp.abs(z) <= b)
+        beyond = jnp.maximum(jnp.abs(z) - b, 0.0)
+        return x * x + y * y + beyond * beyond <= a * a
+
+    def meets(self, p: Vec3, d: Vec3) -> Lane:
+        """Return whether a ray p + s d, s >= 0, in the frame of the site meets the shape."""
+        size = Vec3(*(float(x) for x in (*self.size, 0.0, 0.0)[:3]))
+        return jnp.isfinite(INTERSECTIONS[self.kind](p, d, size).s)
+
+
+KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
+
+
+class VolumeSensor(FrameSensor):
+    """Base class of a sensor of the volume of a site.
+
+    frame: the frame of the site; static.
+    volume: its shape; static.
+    """
+
+    labels = ("value",)
+    volume: Volume = eqx.field(static=True, default=Volume("sphere", (0.005,)))
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.volume, Volume):
+            raise InputError(
+                f"{type(self).__name__}: volume is {self.volume!r}, expected a "
+                "rbjax.sensors.Volume(kind, size)"
+            )
+        if self.volume.kind not in KINDS:
+            raise UnknownName("kind of a volume", self.volume.kind, KINDS)
+
+
+@register("insidesite", placed=True)
+class InsideSite(VolumeSensor):
+    """Measure whether the origin of a frame is inside the volume of a site: 1 or 0.
+
+    other: the frame whose origin is tested, as `frame`; static.
+    """
+
+    other: Any = eqx.field(static=True, default="world")
+
+    def check(self, model: Model) -> None:
+        super().check(model)
+        FrameSensor(self.other).check(model)
+
+    def __call__(self, context: Context) -> jax.Array:
+        site, other = self.at(context), context.frame(named_frame(context.model, self.other))
+        local = site.rotation.T @ (other.position - site.position)
+        return reading(context, [jnp.where(self.volume.contains(local), 1.0, 0.0)])
+
+
+@register("touch", placed=True)
+class Touch(VolumeSensor):
+    """Measure the sum of the normal forces of contacts in the volume of a site.
+
+    It is zero if the dynamics has no contacts.
+    """
+
+    of, clipped = "N", "above"
+
+    def __call__(self, context: Context) -> jax.Array:
+        contacts, out = solution_of(context).contacts, jnp.zeros((), context.q.dtype)
+        if contacts is None:
+            return out[None]
+        geoms, site = context.model.geoms, self.at(context)
+        assert geoms is not None
+        own, _ = frame_transform(context.model, named_frame(context.model, self.frame), float)
+        for row, (a, b) in enumerate(contacts.geoms):
+            if own not in (geoms.bodies[a], geoms.bodies[b]):
+                continue
+            inward = -1.0 if own == geoms.bodies[b] else 1.0
+            E, normal = site.rotation.T, contacts.force[row, 0]
+            p = E @ (contacts.point(row) - site.position)
+            felt = contacts.exists[row] & (normal > 0)
+            felt &= self.volume.meets(p, E @ (contacts.normal(row) * inward))
+            out = out + jnp.where(felt, normal, 0.0)
+        return reading(context, [out])
