@@ -25,8 +25,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import floating_array
+from rbjax.contact.candidates import PairKind, pair_contacts
 from rbjax.contact.impulse import check_pairs
-from rbjax.contact.narrow_phase import PAIRS
 from rbjax.contact.point_velocity import file_friction, geom_shape
 from rbjax.contact.shapes import Contact
 from rbjax.dynamics.arguments import check_model
@@ -168,8 +168,8 @@ class CompliantContact(Element):
         for pair in self.pairs:
             a, b = (now.body(geoms.bodies[g]) for g in pair)
             one, other = (geom_shape(now, g) for g in pair)
-            closed_form = PAIRS[geoms.types[pair[0]], geoms.types[pair[1]]]
-            out.append((a, b, closed_form(one, other, reach)))
+            kind = PairKind.of(geoms, pair)
+            out.append((a, b, pair_contacts(kind, one, other, reach, geoms.heights)))
         return out
 
     def _push(

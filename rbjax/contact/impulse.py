@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
-from rbjax.contact.detection import Contacts, _check_kinds, _geoms_of_candidates, _pairs_of
+from rbjax.contact.candidates import candidates
+from rbjax.contact.detection import Contacts, _check_kinds, _pairs_of
 from rbjax.contact.energetic import energetic_impulse
 from rbjax.contact.impulse_equations import ImpulseProblem, solve_impulses
 from rbjax.contact.point_velocity import (
@@ -124,7 +125,7 @@ def impulse(
         )
     given = (model, checked.q, checked.v, e, mu, jnp.asarray(reach, dtype), jnp.asarray(t, dtype))
     v, p, points, residual, success = _program(*given, chosen, law, int(sweeps))
-    geoms = _geoms_of_candidates(model.geoms, chosen)
+    geoms = tuple(chosen[x.pair] for x in candidates(model.geoms, chosen))
     contacts = Contacts(points.distance, points.position, points.frame, points.exists, geoms)
     return Impulse(v, p, contacts, residual, success)
 

@@ -24,8 +24,8 @@ from rbjax.arguments import floating_array
 from rbjax.constraints import Soft
 from rbjax.constraints import jacobian as constraint_jacobian
 from rbjax.constraints.equations.constrained_motion import solve_least_norm
-from rbjax.contact.detection import _columns, _geoms, _geoms_of_candidates
-from rbjax.contact.narrow_phase import PAIRS
+from rbjax.contact.candidates import PairKind, candidates
+from rbjax.contact.detection import _columns, _geoms
 from rbjax.contact.shapes import Shape
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.drivers.choice import driver
@@ -62,9 +62,9 @@ def contact_points(model: Model, q: jax.Array, pairs: Pairs) -> ContactPoints:
     reach = jnp.asarray(jnp.inf, q.dtype)
     columns = []
     for pair in pairs:
-        shapes = (geom_shape(now, g) for g in pair)
-        closed_form = PAIRS[tuple(model.geoms.types[g] for g in pair)]
-        columns.append(_columns(closed_form, *shapes, reach))
+        one, other = (geom_shape(now, g) for g in pair)
+        kind = PairKind.of(model.geoms, pair)
+        columns.append(_columns(kind, model.geoms.heights, one, other, reach))
     distance, position, frame, exists = map(jnp.concatenate, zip(*columns, strict=True))
     return ContactPoints(distance, exists, position, frame)
 
@@ -83,8 +83,7 @@ def geom_shape(now: Context, geom: int) -> Shape:
 
 def bodies_of(model: Model, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
     """Return the two bodies (n,) of each candidate; the world is -1."""
-    geoms = _geoms(model)
-    two = [[geoms.bodies[g] for g in pair] for pair in _geoms_of_candidates(geoms, pairs)]
+    two = [candidate.bodies for candidate in candidates(_geoms(model), pairs)]
     return tuple(np.array(two, int).reshape(-1, 2).T)
 
 
@@ -144,8 +143,7 @@ def coefficients(
     x = floating_array(
         where, name, given, lambda s: s in ((), (len(pairs),)), f"() or ({len(pairs)},), a pair"
     ).astype(dtype)
-    geoms = _geoms(model)
-    index = [pairs.index(pair) for pair in _geoms_of_candidates(geoms, pairs)]
+    index = [candidate.pair for candidate in candidates(_geoms(model), pairs)]
     return jnp.broadcast_to(x, (len(pairs),))[np.array(index, int)]
 
 
