@@ -165,7 +165,7 @@ class ModelBuilder:
 
         Args:
             source: a source of `load`, a `Model`, or another builder. Models and URDFs are attached
-                without shapes, and every robot without its floor.
+                without meshes, and every robot without its floor.
             parent: parent body; None for the world.
             prefix: prefix of all names of the robot, which must differ from the existing names.
             position: (3,) m.

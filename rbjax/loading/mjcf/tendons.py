@@ -112,19 +112,18 @@ def _at_tendons(m: mujoco.MjModel, given: np.ndarray) -> np.ndarray:
 
 
 def write_tendons(draft: Draft) -> None:
-    """Write the tendons, and the geoms around which they wrap as geoms without mass and contact."""
+    """Write the tendons. Sites and geoms are written already."""
     own: Any = draft.model.tendons
     if own is None:
         return
     draft.tendons += unique(own.names)
-    geoms: dict[int, str] = {}
     first = 0
     for i, (name, path) in enumerate(zip(draft.tendons, own.paths, strict=True)):
         fixed = bool(path) and path[0].kind == "joint"
         tendon = ET.SubElement(draft.tendon, "fixed" if fixed else "spatial", name=name)
         tendon.attrib |= _attributes(draft, own, i)
         for one in path:
-            first += _write_waypoint(draft, tendon, one, own.coefficients[first:], geoms)
+            first += _write_waypoint(draft, tendon, one, own.coefficients[first:])
 
 
 def _attributes(draft: Draft, own: Any, i: int) -> dict[str, str]:
@@ -150,11 +149,9 @@ def _attributes(draft: Draft, own: Any, i: int) -> dict[str, str]:
     return out
 
 
-def _write_waypoint(
-    draft: Draft, tendon: ET.Element, one: Waypoint, left: Any, geoms: dict[int, str]
-) -> int:
+def _write_waypoint(draft: Draft, tendon: ET.Element, one: Waypoint, left: Any) -> int:
     """Write an element of a path; return the number of its coefficients. left: coefficients from
-    its own on. geoms: names of the geoms that are written."""
+    its own on."""
     if one.kind == "pulley":
         ET.SubElement(tendon, "pulley", divisor=text(left[0]))
         return 1
@@ -164,18 +161,6 @@ def _write_waypoint(
     if one.kind == "site":
         ET.SubElement(tendon, "site", site=draft.sites[one.index])
         return 0
-    if one.index not in geoms:
-        geoms[one.index] = _write_geom(draft, one.index, f"wrap{len(geoms)}")
     side = {"sidesite": draft.sites[one.side]} if one.side >= 0 else {}
-    ET.SubElement(tendon, "geom", {"geom": geoms[one.index]} | side)
+    ET.SubElement(tendon, "geom", {"geom": draft.geoms[one.index].get("name", "")} | side)
     return 0
-
-
-def _write_geom(draft: Draft, index: int, name: str) -> str:
-    own: Any = draft.model.geoms
-    draft.add(
-        own.bodies[index], "geom", name=name, type=own.types[index], size=text(own.size[index]),
-        pos=text(own.position[index]), quat=text(own.orientation[index]), mass="0", contype="0",
-        conaffinity="0",
-    )  # fmt: skip
-    return name

@@ -20,10 +20,15 @@ from rbjax.forces import JointFriction
 from rbjax.loading.loader import from_compiled
 from rbjax.loading.sources import compile_source, read_text
 from rbjax.loading.urdf.tree import is_urdf
+from rbjax.loading.write.contact_values import (
+    child,
+    children,
+    contact_leaves,
+    differs,
+    write_changed,
+)
 from rbjax.loading.write.draft import text
 from rbjax.model import Model
-
-_CLOSE = 1e-12  # relative change below which a number is not written
 
 
 def write_back(model: Model, source: str | Path, path: str | Path | None = None) -> str:
@@ -31,7 +36,9 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
 
     Only values that differ from the file are written: of bodies mass, center of mass and inertia;
     of joints damping, armature, Coulomb friction and (MJCF) stiffness; of MJCF actuators gain, bias
-    and gear; gravity. Geometry, sensors, names, defaults and materials do not change.
+    and gear, of geoms and contact pairs the parameters of contacts, of limits and friction loss
+    solref, solimp and margin, and impratio; gravity. Sizes and places of geoms, sensors, names,
+    defaults and materials do not change.
 
     Args:
         model: model of the file, with other values.
@@ -62,8 +69,9 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
     given, place = read_text(source)
     urdf = is_urdf(given, str(source))
     floating = urdf and "free" in model.topology.joint_kinds
-    compiled = compile_source(source, floating_base=floating)[0]
-    before = from_compiled(compiled)
+    compiled = compile_source(source, floating_base=floating, shapes=None)[0]
+    contacts = model.contact is not None
+    before = from_compiled(compiled, contacts=contacts)
     for what in ("body_names", "joint_names", "actuator_names"):
         ours, theirs = getattr(model, what), getattr(before, what)
         motors = what == "actuator_names" and not theirs  # load(..., motors=True)
@@ -74,11 +82,12 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
     model, before = (jax.tree.map(np.asarray, m) for m in (model, before))
     out = _urdf(model, before, given) if urdf else _mjcf(model, before, given, compiled)
     if urdf or place is None:
-        again = from_compiled(compile_source(out, floating_base=floating)[0])
+        found = compile_source(out, floating_base=floating, shapes=None)[0]
     else:
         spec = mujoco.MjSpec.from_string(out)
         spec.modelfiledir = str(place.parent.resolve())  # the folder of the mesh paths
-        again = from_compiled(compile_source(spec, floating_base=False)[0])
+        found = compile_source(spec, floating_base=False, shapes=None)[0]
+    again = from_compiled(found, contacts=contacts)
     _check(model, jax.tree.map(np.asarray, again), urdf)
     if path is not None:
         Path(path).write_text(out, encoding="utf-8")
@@ -94,8 +103,8 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
             "bodies, expected as many: it includes or repeats others. Write all into one file, "
             "mujoco.MjSpec.from_file(path).to_xml(), and load that"
         )
-    if _differs(model.gravity, before.gravity):
-        _child(root, "option").set("gravity", text(model.gravity))
+    if differs(model.gravity, before.gravity):
+        child(root, "option").set("gravity", text(model.gravity))
     for body, inertial in zip(world, _changed_inertials(model, before), strict=True):
         if inertial is not None:
             old = body.find("inertial")
@@ -105,7 +114,7 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
             full = text(I[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
             said = {"pos": text(com), "mass": text(mass), "fullinertia": full}
             body.insert(0, ET.Element("inertial", said))
-    joints = [joint for body in world for joint in _joints_of(body)]
+    joints = [x for body in world for x in children(body, "joint", "freejoint")]
     friction = _friction(model)
     own: Any = model.joints
     was_own: Any = before.joints
@@ -113,13 +122,15 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
         for j, (joint, start) in enumerate(zip(joints, model.topology.joint_v, strict=True)):
             for key, at in (("armature", start), ("damping", start), ("stiffness", j)):
                 new, was = getattr(own, key)[at], getattr(was_own, key)[at]
-                if _differs(new, was):
+                if differs(new, was):
                     # without the damping and armature of actuators
                     kept = getattr(compiled, f"{'jnt' if key == 'stiffness' else 'dof'}_{key}")[at]
                     further = joint.get(key, "").split()[1:]  # higher terms of a polynomial
                     joint.set(key, " ".join([text(kept + new - was), *further]))
             if start in friction:
                 joint.set("frictionloss", text(friction[start]))
+    sections = [*root.iter("worldbody"), *world]
+    write_changed(root, sections, joints, model, before)
     actuators = [one for section in root.iter("actuator") for one in section]
     if len(actuators) == len(before.actuator_names):
         for a, one in enumerate(actuators):
@@ -138,18 +149,7 @@ def _changed_inertials(model: Model, before: Model) -> list[Any]:
     for b in range(model.nb):
         new, old = ([getattr(m.bodies, n)[b] for n in ("mass", "com", "inertia")]
                     for m in (model, before))  # fmt: skip
-        found.append(new if any(map(_differs, new, old)) else None)
-    return found
-
-
-def _joints_of(element: ET.Element) -> list[ET.Element]:
-    """List the joints of a body, including joints within frames."""
-    found = []
-    for child in element:
-        if child.tag in ("joint", "freejoint"):
-            found.append(child)
-        elif child.tag == "frame":
-            found += _joints_of(child)
+        found.append(new if any(map(differs, new, old)) else None)
     return found
 
 
@@ -157,7 +157,7 @@ def _write_actuator(one: ET.Element, model: Model, before: Model, a: int) -> Non
     own: Any = model.actuators
     old: Any = before.actuators
     gain, bias = own.gain[a], own.bias[a]
-    if _differs(gain, old.gain[a]) or _differs(bias, old.bias[a]):
+    if differs(gain, old.gain[a]) or differs(bias, old.bias[a]):
         servo = [gain[0], *gain[1:], bias[0]] == [-bias[1], 0.0, 0.0, 0.0]
         if one.tag == "position" and servo:
             one.attrib.pop("dampratio", None)
@@ -171,7 +171,7 @@ def _write_actuator(one: ET.Element, model: Model, before: Model, a: int) -> Non
             said = {"gaintype": kind, "gainprm": text(gain), "biasprm": text(bias)}
             one.attrib.update(said | {"biastype": "affine" if bias.any() else "none"})
     seen = np.flatnonzero(old.gear[a])
-    if _differs(own.gear[a], old.gear[a]) and len(seen) == 1:
+    if differs(own.gear[a], old.gear[a]) and len(seen) == 1:
         held = one.get("gear", "1").split()
         change = own.gear[a][seen[0]] / old.gear[a][seen[0]]
         one.set("gear", " ".join([text(float(held[0]) * change), *held[1:]]))
@@ -198,15 +198,15 @@ def _urdf(model: Model, before: Model, given: str) -> str:
         if link is None or changed is None:
             continue
         mass, com, I = changed
-        inertial = _child(link, "inertial")
-        origin = _child(inertial, "origin")
+        inertial = child(link, "inertial")
+        origin = child(inertial, "origin")
         origin.set("xyz", text(com))
         origin.set("rpy", "0 0 0")
-        _child(inertial, "mass").set("value", text(mass))
+        child(inertial, "mass").set("value", text(mass))
         places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
                   "izz": (2, 2)}  # fmt: skip
         for key, at in places.items():
-            _child(inertial, "inertia").set(key, text(I[at]))
+            child(inertial, "inertia").set(key, text(I[at]))
     joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     friction = _friction(model)
     for name, start in zip(model.joint_names, model.topology.joint_v, strict=True):
@@ -214,16 +214,13 @@ def _urdf(model: Model, before: Model, given: str) -> str:
         if joint is None:
             continue
         damping = model.joints.damping[start]
-        if _differs(damping, before.joints.damping[start]):
-            _child(joint, "dynamics").set("damping", text(damping))
-        if start in friction:
-            _child(joint, "dynamics").set("friction", text(friction[start]))
+        if differs(damping, before.joints.damping[start]):
+            child(joint, "dynamics").set("damping", text(damping))
+        loss, was = (float(m.solver.frictionloss[start]) if m.solver else 0.0
+                     for m in (model, before))  # fmt: skip
+        if start in friction or differs(loss, was):
+            child(joint, "dynamics").set("friction", text(friction.get(start, loss)))
     return ET.tostring(robot, encoding="unicode") + "\n"
-
-
-def _child(element: ET.Element, tag: str) -> ET.Element:
-    found = element.find(tag)
-    return ET.SubElement(element, tag) if found is None else found
 
 
 def _check(model: Model, again: Model, urdf: bool) -> None:
@@ -237,6 +234,7 @@ def _check(model: Model, again: Model, urdf: bool) -> None:
     if not urdf:
         pairs += [(f"actuators.{n}", getattr(model.actuators, n), getattr(again.actuators, n))
                   for n in ("gear", "gain", "bias") if len(again.actuator_names)]  # fmt: skip
+    pairs += [(name, a, b) for name, a, b in contact_leaves(model, again)]
     for name, a, b in pairs:
         size = max(float(np.abs(a).max(initial=0.0)), 1e-300)
         if a.shape != b.shape or np.abs(a - b).max(initial=0.0) > 1e-9 * size:
@@ -247,9 +245,3 @@ def _check(model: Model, again: Model, urdf: bool) -> None:
             "write_back: the file cannot express these parameters of the model: "
             f"{', '.join(wrong)}{hint}; use `write_mjcf`, which writes a new file"
         )
-
-
-def _differs(a: Any, b: Any) -> bool:
-    a, b = np.asarray(a), np.asarray(b)
-    size = float(np.abs(b).max(initial=0.0))
-    return bool(np.abs(a - b).max(initial=0.0) > _CLOSE * size)

@@ -14,6 +14,7 @@ from rbjax.constraints import Constraint, JointPolynomial, Pair
 from rbjax.forces import Element
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
+from rbjax.loading.write.contacts import contact_arrays, contact_differences
 from rbjax.loading.write.draft import Draft, free_bodies, place_in_body
 from rbjax.model import Model
 
@@ -52,6 +53,13 @@ def differences(
     yield from _of_tendons(draft, again)
     yield from _of_elements(model, again, written)
     yield from _of_constraints(model, again, constraints)
+    geoms = {i: again.geom(x.get("name", "")) for i, x in draft.geoms.items()}
+    theirs = {what: x for what, x, _ in contact_arrays(again, geoms.values())}
+    for what, a, names in contact_arrays(model, geoms):
+        wrong = np.flatnonzero(~_close(np.asarray(a), np.asarray(theirs[what])))
+        if len(wrong):
+            yield what, list(dict.fromkeys(names[int(i)] for i in wrong))
+    yield from ((what, []) for what in contact_differences(model, again, geoms))
 
 
 def _arrays(model: Model, sites: Array) -> Iterator[tuple[str, Any, Sequence[str]]]:

@@ -26,6 +26,7 @@ class Draft:
     model: the robot, with NumPy leaves.
     root, option, world, tendon, equality, actuator: elements of the file.
     bodies, joints: elements by index.
+    geoms: elements of the geoms that are written, by index.
     sites, tendons: names of the sites and tendons.
     springs: springs that are written as tendons, after the tendons of the model.
     notes: parts of the model that are written differently, or left out.
@@ -40,6 +41,7 @@ class Draft:
     actuator: ET.Element
     bodies: list[ET.Element] = field(default_factory=list)
     joints: list[ET.Element] = field(default_factory=list)
+    geoms: dict[int, ET.Element] = field(default_factory=dict)
     sites: list[str] = field(default_factory=list)
     tendons: list[str] = field(default_factory=list)
     springs: list[PointSpring] = field(default_factory=list)

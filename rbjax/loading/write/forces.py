@@ -195,10 +195,30 @@ def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:
         columns = (element.blunt_drag, element.slender_drag, element.angular_drag,
                    element.kutta_lift, element.magnus_lift)  # fmt: skip
         for n, b in enumerate(element.bodies):
+            fluid = {"fluidshape": "ellipsoid", "fluidcoef": text([x[n] for x in columns])}
+            own = _geom_of(draft, element, n)
+            if own is not None:
+                own.attrib.update(fluid)
+                continue
             draft.add(
                 b, "geom", type="ellipsoid", size=text(element.semi_axes[n]),
                 pos=text(element.position[n]), quat=text(element.orientation[n]), mass="0",
-                contype="0", conaffinity="0", fluidshape="ellipsoid",
-                fluidcoef=text([x[n] for x in columns]),
+                contype="0", conaffinity="0", **fluid,
             )  # fmt: skip
     return written
+
+
+def _geom_of(draft: Draft, element: EllipsoidFluid, n: int) -> ET.Element | None:
+    """Return the geom that is the n-th ellipsoid of a fluid, if it is written."""
+    geoms: Any = draft.model.geoms
+    for i, own in draft.geoms.items():
+        a, b, c = geoms.size[i]
+        axes = {"sphere": (a, a, a), "capsule": (a, a, a + b), "cylinder": (a, a, b)}
+        same = (
+            (geoms.position[i], element.position[n]),
+            (geoms.orientation[i], element.orientation[n]),
+            (axes.get(geoms.types[i], (a, b, c)), element.semi_axes[n]),
+        )
+        if geoms.bodies[i] == element.bodies[n] and all(np.array_equal(x, y) for x, y in same):
+            return own
+    return None

@@ -22,6 +22,7 @@ from rbjax.loading.loader import from_compiled
 from rbjax.loading.mjcf.actuators import write_actuators
 from rbjax.loading.mjcf.constraints import write_constraints
 from rbjax.loading.mjcf.tendons import write_tendons
+from rbjax.loading.write.contacts import write_geoms, write_pairs, write_solver
 from rbjax.loading.write.differences import differences
 from rbjax.loading.write.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.write.forces import box_axes, write_forces
@@ -40,8 +41,9 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """Write a model as the text of an MJCF file from which `load` reads the same model.
 
     The file contains masses, centers of mass, inertias, frames, joints with springs, dampers,
-    armature and ranges, actuators with their states, sites, tendons, keyframes, sensors, gravity,
-    timestep, and the force elements and constraints that MJCF has.
+    armature and ranges, actuators with their states, sites, tendons, geoms except meshes and height
+    fields, the pairs that may touch, parameters of contacts, limits and friction loss, keyframes,
+    sensors, gravity, timestep, and the force elements and constraints that MJCF has.
 
     Args:
         model: the robot, not a batch and not traced.
@@ -49,8 +51,7 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         strict: raise instead of warn about parts that the file cannot express.
 
     Returns:
-        The text. It has no shapes for display or contact. A comment at its top lists the parts that
-        differ from the model or are left out.
+        The text. A comment at its top lists the parts that differ from the model or are left out.
 
     Raises:
         ModelError: values that MuJoCo rejects in a file, such as impossible inertials.
@@ -89,13 +90,18 @@ def make_draft(model: Model) -> Draft:
     draft.option.set("gravity", text(model.gravity))
     _write_bodies(draft)
     _write_joints(draft)
+    write_solver(draft)
+    write_geoms(draft)
     _write_sites(draft)
     write_tendons(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
+    if draft.geoms:
+        write_pairs(draft, compile_mjcf(serialize(draft)))
     seen = write_sensors(draft)
     _write_keyframes(draft)
-    again = jax.tree.map(np.asarray, from_compiled(compile_mjcf(serialize(draft))))
+    compiled = compile_mjcf(serialize(draft))
+    again = jax.tree.map(np.asarray, from_compiled(compiled, contacts=model.contact is not None))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
     if changed := sensors_differ(draft, again, seen):
