@@ -47,12 +47,14 @@ class Touching(NamedTuple):
     @classmethod
     def of(cls, model: Model) -> Touching:
         """Find the links and geoms of the pairs of a model."""
-        own, links = model.geoms, model.topology.body_links
+        own: Any = model.geoms
+        links = model.topology.body_links
         pairs = () if own is None else own.pairs
         geoms = sorted({g for pair in pairs for g in pair})
         bodies = {g: own.bodies[g] for g in geoms}
         of_geom = {g: WORLD if b == WORLD else links[b] for g, b in bodies.items()}
-        both = [tuple(sorted((of_geom[a], of_geom[b]))) for a, b in pairs]
+        ends = [(of_geom[a], of_geom[b]) for a, b in pairs]
+        both = [(min(pair), max(pair)) for pair in ends]
         link_pairs = sorted(set(both))
         touching = sorted(set(of_geom.values()) - {WORLD})
         return cls(geoms, touching, of_geom, link_pairs, [link_pairs.index(x) for x in both])
@@ -135,7 +137,8 @@ class Assembly:
         return inverse_weights(self.model, self.q.dtype)
 
     def _sets(self) -> list[ContactSet]:
-        geoms, touching = self.model.geoms, self.touching
+        geoms: Any = self.model.geoms
+        touching = self.touching
         if not touching.geoms:
             return []
         given = pair_parameters(geoms, geoms.pairs)

@@ -193,7 +193,8 @@ class ContactSet:
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
             return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
 
-        out, sliding = [towards(r, v[0], solref)], solref
+        out = [towards(r, v[0], solref)]
+        sliding: Sequence[Lane] = solref
         if mu and not options.elliptic:
             factor = 2.0 * mu[0] * mu[0] / options.impratio
             R = regularisation(d, weight * (1.0 + mu[0] * mu[0])) * factor
@@ -219,12 +220,12 @@ class Slots(NamedTuple):
     """The active contacts of a set, in consecutive slots.
 
     Fields:
-        count: the number of active contacts.
+        length: the number of active contacts.
         rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
         pairs: (n,) the pair of geoms of each slot.
     """
 
-    count: jax.Array
+    length: jax.Array
     rows: jax.Array
     pairs: jax.Array
 
@@ -238,9 +239,9 @@ class Slots(NamedTuple):
             # the next contact overwrites one that is not active
             lanes = [x for axis in row.axes for x in axis]
             values = pack([*lanes, row.D, *row.reference], like)
-            rows = slots.rows.at[slots.count].set(values)
-            pairs = slots.pairs.at[slots.count].set(jnp.asarray(row.pair, jnp.int32))
-            return Slots(slots.count + jnp.asarray(active, jnp.int32), rows, pairs)
+            rows = slots.rows.at[slots.length].set(values)
+            pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
+            return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs)
 
         none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32))
         return contacts.scan(world, store, none)
@@ -254,7 +255,7 @@ class Slots(NamedTuple):
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the active slots."""
-        return jax.lax.fori_loop(0, self.count, step, carry)
+        return jax.lax.fori_loop(0, self.length, step, carry)
 
 
 def _first_nonzero(a: Sequence[Lane], b: Sequence[Lane]) -> Sequence[Lane]:

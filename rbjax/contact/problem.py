@@ -152,13 +152,19 @@ class Problem:
     rhs: list[Lane]
     sets: list[ContactSet]
     rows: list[ScalarRow]
-    world: World
+    world: World | None
     dtype: Any
     slots: list[Slots] = field(default_factory=list)
 
     def detect(self) -> None:
         """Find the active contacts."""
-        self.slots = [Slots.collect(contacts, self.world) for contacts in self.sets]
+        self.slots = [Slots.collect(contacts, self.touching) for contacts in self.sets]
+
+    @property
+    def touching(self) -> World:
+        """The geoms and links that can touch, of a problem with contacts."""
+        assert self.world is not None
+        return self.world
 
     def constraint_forces(self, x: list[Lane]) -> list[Lane]:
         """Compute J^T f at x from all candidates; reverse-mode derivatives exist."""
@@ -171,7 +177,7 @@ class Problem:
                 f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
                 return of.add_wrench(row, wrenches, row.wrench(f))
 
-            wrenches = contacts.scan(self.world, push, wrenches)
+            wrenches = contacts.scan(self.touching, push, wrenches)
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
         for row in self.rows:
             f, _ = row.response(sub(row.along(x), row.reference))
