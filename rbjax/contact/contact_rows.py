@@ -33,7 +33,7 @@ class Row(NamedTuple):
 
     Fields:
         pair: index of its pair of geoms.
-        axes: b_k of each row.
+        axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
     """
