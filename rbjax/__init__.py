@@ -66,7 +66,8 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces, tendon_jacobian, tendon_lengths
-    from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
+    from rbjax.loading import ModelBuilder, load, write_back, write_mjcf
+    from rbjax.loading.sources import scenes
     from rbjax.motion.impacts import ImpactTrajectory, simulate_impacts
     from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout

@@ -190,7 +190,7 @@ def _wrenches_of_pair(context: Context, joint: Pair, l: jax.Array) -> list[tuple
     places = ((joint.a, START), (joint.b, END))
     ends = [_End(context, place.frame(context), index) for place, index in places]
     wrenches = [Force.zero(), Force.zero()]
-    for k, row in enumerate(joint.between_frames(*ends, context)):
+    for k, row in enumerate(joint.between_frames(ends[0], ends[1], context)):
         found = wrenches_by_link(row.gradient)
         for i, end in enumerate((START, END)):
             wrenches[i] = wrenches[i] + found.get(end, Force.zero()) * l[k]

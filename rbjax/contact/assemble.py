@@ -101,8 +101,8 @@ class Assembly:
         links = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            both = zip(self.joints, self.d.constants, strict=True)
-            X = [joint.transform(link) for joint, link in both]
+            links_of = zip(self.joints, self.d.constants, strict=True)
+            X = [joint.transform(link) for joint, link in links_of]
             return ArticulatedTree(self.d, self.joints, X, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]

@@ -123,6 +123,7 @@ def impulse(
             "impulse(law='energetic'): friction is inf, expected a finite number: infinite "
             "friction would stop the slip before any normal impulse; law='newton' takes it"
         )
+    assert model.geoms is not None
     given = (model, checked.q, checked.v, e, mu, jnp.asarray(reach, dtype), jnp.asarray(t, dtype))
     v, p, points, residual, success = _program(*given, chosen, law, int(sweeps))
     geoms = tuple(chosen[x.pair] for x in candidates(model.geoms, chosen))

@@ -24,8 +24,9 @@ from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
 from rbjax.lanes import Lane, Vec3, add, mul, total
 from rbjax.model import WORLD, Model, prepare
+from rbjax.model.cells import constant_leaves
 from rbjax.model.leaves import table
-from rbjax.model.links import constant_leaves, lane
+from rbjax.model.links import lane
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 #: MuJoCo's least weight of a body that moves
@@ -60,8 +61,8 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     like = jnp.zeros((), dtype)
     dof = _averaged(model, d.pack(diagonal, jnp.zeros(model.nv, dtype)))
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
-    body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
-    return _with_slides(model, body, dof)
+    every = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
+    return _with_slides(model, every, dof)
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

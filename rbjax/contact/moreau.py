@@ -113,6 +113,7 @@ class MoreauContact(Record):
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
     ) -> tuple[jax.Array, jax.Array]:
         """Compute the velocity (nv,) and the memory (3 n + 1,) after a step dt."""
+        assert state.memory is not None
         q, v, dtype = state.q, state.v, state.q.dtype
         e, mu, c, rest = (
             jnp.asarray(x, dtype)

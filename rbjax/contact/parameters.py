@@ -75,7 +75,7 @@ def pair_parameters(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> PairParam
     dtype = geoms.size.dtype
     columns = [x.astype(dtype) if isinstance(x, jax.core.Tracer) else x for x in columns]
     condim = [a if k is None else geoms.pair_condim[k] for a, k in zip(mixed[-1], own, strict=True)]
-    return PairParameters(*columns, condim=tuple(condim))
+    return PairParameters._make([*columns, tuple(condim)])
 
 
 def tangential_solref(solref: Sequence[Lane], solreffriction: Sequence[Lane]) -> tuple[Lane, Lane]:

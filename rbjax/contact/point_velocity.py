@@ -60,11 +60,11 @@ def contact_points(model: Model, q: jax.Array, pairs: Pairs) -> ContactPoints:
     """Return the candidate contacts of pairs of geoms at any distance."""
     now = Context.of(model, 0.0, State(q, jnp.zeros(model.nv, q.dtype)), None)
     reach = jnp.asarray(jnp.inf, q.dtype)
-    columns = []
+    geoms, columns = _geoms(model), []
     for pair in pairs:
         one, other = (geom_shape(now, g) for g in pair)
-        kind = PairKind.of(model.geoms, pair)
-        columns.append(_columns(kind, model.geoms.heights, one, other, reach))
+        kind = PairKind.of(geoms, pair)
+        columns.append(_columns(kind, geoms.heights, one, other, reach))
     distance, position, frame, exists = map(jnp.concatenate, zip(*columns, strict=True))
     return ContactPoints(distance, exists, position, frame)
 
@@ -84,7 +84,8 @@ def geom_shape(now: Context, geom: int) -> Shape:
 def bodies_of(model: Model, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
     """Return the two bodies (n,) of each candidate; the world is -1."""
     two = [candidate.bodies for candidate in candidates(_geoms(model), pairs)]
-    return tuple(np.array(two, int).reshape(-1, 2).T)
+    first, second = np.array(two, int).reshape(-1, 2).T
+    return first, second
 
 
 def relative_velocity(

@@ -50,8 +50,10 @@ class TendonRow(NamedTuple):
 def friction_rows(context: Context) -> list[TendonRow]:
     """Compute the rows of the friction loss of tendons, in the order of the tendons."""
     own, dtype = context.model.tendons, context.q.dtype
-    found = []
-    for i in () if own is None else own.rubbing:
+    found: list[TendonRow] = []
+    if own is None:
+        return found
+    for i in own.rubbing:
         reach, loss = tendon_reach(context, i), scalar(own.frictionloss[i], dtype)
         softness = (own.friction_solref[i], own.friction_solimp[i])
         found.append(TendonRow(i, reach.arms, reach.speed(context), 0.0, 0.0, loss, *softness))
@@ -61,8 +63,10 @@ def friction_rows(context: Context) -> list[TendonRow]:
 def limit_rows(context: Context) -> list[TendonRow]:
     """Compute the rows of the limits of tendons: of each tendon the lower one, then the upper."""
     own, dtype = context.model.tendons, context.q.dtype
-    found = []
-    for i in () if own is None else own.limited:
+    found: list[TendonRow] = []
+    if own is None:
+        return found
+    for i in own.limited:
         reach, margin = tendon_reach(context, i), scalar(own.limit_margin[i], dtype)
         speed, low, high = reach.speed(context), *(scalar(own.range[i, k], dtype) for k in (0, 1))
         softness: Any = (None, own.limit_solref[i], own.limit_solimp[i])

@@ -87,7 +87,9 @@ def tendon_scales(model: Model, found: list[tuple[Element, Context]]) -> dict[in
     limits = table(model.tendons.forcerange, found[0][1].q.dtype)
     known = isinstance(limits, np.ndarray)
     for element, seen in found:
-        i = element.tendon if isinstance(element, Actuator) else -1
+        if not isinstance(element, Actuator):
+            continue
+        i = element.tendon
         if i >= 0 and not (known and bool(np.isinf(limits[i]).all())):
             sums.setdefault(i, []).append(element.force(seen))
     for i, forces in sums.items():

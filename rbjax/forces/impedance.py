@@ -29,13 +29,16 @@ import numpy as np
 from rbjax.lanes import Lane, add, is_literal, mul
 from rbjax.model.solver_parameters import SOLREF
 
+#: a few lanes, or an array with an axis of them in front
+Lanes = Sequence[Lane] | np.ndarray | jax.Array
+
 #: MuJoCo's limits of d_0, d_w and of the midpoint m
 IMPEDANCES = 1e-4, 0.9999
 #: MuJoCo's smallest width, denominator and regularisation
 LEAST = 1e-15
 
 
-def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:
+def impedance(r: Lane, solimp: Lanes) -> Lane:
     """Compute the impedance d of a row at a residual.
 
     Derivatives are finite everywhere. The derivative by r is zero at r = 0.
@@ -58,7 +61,7 @@ def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:
 
 
 def reference(
-    r: Lane, velocity: Lane, d: Lane, solref: Sequence[Lane], solimp: Sequence[Lane], dt: Lane,
+    r: Lane, velocity: Lane, d: Lane, solref: Lanes, solimp: Lanes, dt: Lane,
     *, refsafe: bool,
 ) -> Lane:  # fmt: skip
     """Compute the reference acceleration of a row, -b J v - k d r.
@@ -85,7 +88,7 @@ def regularisation(d: Lane, weight: Lane) -> Lane:
     return _larger((1 - d) / d * weight, LEAST)
 
 
-def stiffness_and_damping(solref: Sequence[Lane], solimp: Sequence[Lane]) -> tuple[Lane, Lane]:
+def stiffness_and_damping(solref: Lanes, solimp: Lanes) -> tuple[Lane, Lane]:
     """Compute the stiffness k, 1/s^2, and the damping b, 1/s, of a row."""
     *solref, high = _constants(*solref, solimp[1])
     return _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -10,7 +10,8 @@ import jax
 from rbjax.model.record import Record
 
 
-class Waypoint(NamedTuple):
+@dataclass(frozen=True)
+class Waypoint:
     """One element of the path of a tendon.
 
     kind: "joint" of a fixed tendon; "site", "geom" or "pulley" of a spatial tendon.

@@ -151,9 +151,9 @@ def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
     at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
     points = contact_points(system.model, at.q, system.pairs)
     u = jax.lax.stop_gradient(system.slip(at.q, at.v))
-    near, still = _small(at.q.dtype)
+    near, least = _small(at.q.dtype)
     touches = points.exists & (jnp.abs(points.distance) <= near)
-    still = still * (1 + jnp.abs(u).max(initial=0.0))
+    still = least * (1 + jnp.abs(u).max(initial=0.0))
     kept = touches & (jnp.abs(u[:, 0]) <= still)
     moves, towards = _slip_direction(u, still)
     mode = Mode(kept, kept & moves & jnp.isfinite(mu), towards)

@@ -39,7 +39,7 @@ from rbjax.solvers.events import carry_back, integrate_until
 DONE, TOO_MANY, FAILED = 0, 1, 2
 
 
-class ImpactTrajectory(NamedTuple):
+class ImpactTrajectory(eqx.Module):
     """States of a motion with rigid impacts.
 
     Fields:
@@ -198,7 +198,7 @@ class _Carry(NamedTuple):
     mode: Mode
     leaving: jax.Array
     path: State
-    count: jax.Array
+    events: jax.Array
     status: jax.Array
     done: jax.Array
     residual: jax.Array
@@ -236,7 +236,7 @@ def _solve(
             select(now.done, now.mode, mode),
             jnp.asarray(True),
             path,
-            now.count + event,
+            now.events + event,
             status,
             done,
             jnp.maximum(now.residual, jnp.where(event, residual, 0)),
@@ -256,7 +256,7 @@ def _solve(
     return (
         path, times[:max_impacts], impacts[:max_impacts],
         jax.tree.map(lambda x: x[:max_impacts], after), last.mode.kept,
-        jnp.minimum(last.count, max_impacts), last.status, last.residual,
+        jnp.minimum(last.events, max_impacts), last.status, last.residual,
     )  # fmt: skip
 
 

@@ -59,8 +59,9 @@ class ContactForces(Record):
 
 def wrenches_of_contacts(context: Context, contacts: ContactForces) -> dict[int, Force]:
     """Sum the contact forces on each body, in world axes at the body's origin."""
-    geoms, out = context.model.geoms, {}
+    geoms = context.model.geoms
     assert geoms is not None
+    out: dict[int, Force] = {}
     for row, pair in enumerate(contacts.geoms):
         wrench, point = contacts.wrench(row), contacts.point(row)
         for geom, sign in zip(pair, (-1.0, 1.0), strict=True):

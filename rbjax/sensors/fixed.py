@@ -65,7 +65,7 @@ class FrameSensor(FixedSensor):
         of a site; static.
     """
 
-    labels = AXES
+    labels: ClassVar[tuple[str, ...]] = AXES
     frame: Any = eqx.field(static=True)
 
     def check(self, model: Model) -> None:

@@ -160,10 +160,12 @@ def places(
     R, p = forward_kinematics(model, q)
 
     def of(end: End) -> Place:
-        body = end
+        body: str | int | None
         if isinstance(end, FixedFrame):
             found, _ = locate("between", model, q, end)
             body = None if found == WORLD else found
+        else:
+            body = end
         if body is None:
             return Place(point, turn)
         k = model.body(body)

@@ -81,6 +81,7 @@ def _from_reference(context: Context, tendon: str | int) -> Row:
 def tendon_row(context: Context, tendon: str | int) -> Row:
     """Return the row whose value is the length of a tendon."""
     i, own = context.model.tendon(tendon), context.model.tendons
+    assert own is not None
     path, first = own.paths[i], own.first_coefficient(i)
     coefficients = table(own.coefficients, context.q.dtype)
     out = Row.constant(0.0)
@@ -88,9 +89,9 @@ def tendon_row(context: Context, tendon: str | int) -> Row:
         for k, one in enumerate(path, first):
             out = out + coordinate(context, one.index) * lane(coefficients, k)
         return out
-    for one in segments(path, first):
-        share = 1.0 if one.pulley < 0 else 1 / lane(coefficients, one.pulley)
-        out = out + _segment_row(context, one) * share
+    for piece in segments(path, first):
+        share = 1.0 if piece.pulley < 0 else 1 / lane(coefficients, piece.pulley)
+        out = out + _segment_row(context, piece) * share
     return out
 
 
@@ -99,8 +100,10 @@ def _segment_row(context: Context, one: Segment) -> Row:
     start, end = context.site(one.start), context.site(one.end)
     if one.geom is None:
         return distance(start, end)
+    geom = context.frame(Frame(geom=one.geom.index))
     geoms, dtype = context.model.geoms, context.q.dtype
-    geom, kind = context.frame(Frame(geom=one.geom.index)), geoms.types[one.geom.index]
+    assert geoms is not None
+    kind = geoms.types[one.geom.index]
     radius = lane(table(geoms.size, dtype)[:, 0], one.geom.index)
     side, inside = None, False
     if one.geom.side >= 0:

@@ -92,7 +92,9 @@ def wrapped(
     s0, s1 = _root(aa - rr), _root(bb - rr)
     arc = angle + jnp.arctan2(r, s0) + jnp.arctan2(r, s1) - jnp.pi
     hits = arc > 0
-    wraps, sense, rho, cosine = outside & hits, 1.0, r, 0.0
+    sense: Lane = 1.0
+    cosine: Lane = 0.0
+    wraps, rho = outside & hits, r
     if side is not None and inside is not True:
         sa, sb = side.dot(start), side.dot(end)
         far = (ab * sb > bb * sa) & (ab * sa > aa * sb)
@@ -106,7 +108,7 @@ def wrapped(
         regular = [
             where(touches, x, y) for x, y in ((aa, 4 * rr), (bb, 4 * rr), (angle, jnp.ones_like(r)))
         ]
-        t = _incidence(r, *map(jnp.sqrt, regular[:2]), regular[2])
+        t = _incidence(r, jnp.sqrt(regular[0]), jnp.sqrt(regular[1]), regular[2])
         if inside is not True:
             t = where(inside, t, jnp.full_like(t, jnp.pi / 2))
             touches = where(inside, touches, wraps)

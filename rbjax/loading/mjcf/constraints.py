@@ -96,8 +96,8 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
-    solref = safe_solref(m, m.eq_solref[i])
-    solref, solimp, weight = map(leaf, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
+    solref, solimp = leaf(safe_solref(m, m.eq_solref[i])), leaf(m.eq_solimp[i])
+    weight = leaf(_weights(m, i, one.size))
     return Soft(one, solref, solimp, weight, bias=type(one) not in _COUPLINGS.values())
 
 
@@ -150,12 +150,12 @@ def write_constraints(draft: Draft) -> list[Constraint]:
             element = ET.SubElement(draft.equality, "joint", polycoef=text(coupling.coefficients))
             element.attrib |= {k: draft.joint(j) for k, j in given_ends}
             written.append(coupling)
-        elif kind is TendonPolynomial and not one.coefficients[_TERMS:].any():
+        elif type(one) is TendonPolynomial and not one.coefficients[_TERMS:].any():
             names = {"tendon1": one.tendon, "tendon2": one.driver}
             element = ET.SubElement(draft.equality, "tendon", polycoef=text(one.coefficients))
             pairs = ((k, draft.model.tendon(x)) for k, x in names.items() if x is not None)
             element.attrib |= {k: draft.tendons[i] for k, i in pairs}
-            padded = np.concatenate([one.coefficients, np.zeros(_TERMS)])[:_TERMS]
+            padded: Any = np.concatenate([one.coefficients, np.zeros(_TERMS)])[:_TERMS]
             written.append(TendonPolynomial(one.tendon, one.driver, padded))
         else:
             draft.note(f"no MJCF form, left out: constraint {kind.__name__}")

@@ -47,8 +47,8 @@ def read_sensors(m: mujoco.MjModel) -> tuple[tuple[NamedSensor, ...], dict[str, 
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_SENSOR, i) or f"sensor{i}"
         cutoff, noise = float(m.sensor_cutoff[i]), float(m.sensor_noise[i])
         found.append(NamedSensor(name, sensor, cutoff, noise))
-        for reason in _changes(m, i):
-            left_out.setdefault(reason, []).append(i)
+        for change in _changes(m, i):
+            left_out.setdefault(change, []).append(i)
     return tuple(found), left_out
 
 

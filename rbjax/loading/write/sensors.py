@@ -157,8 +157,11 @@ def sensors_differ(draft: Draft, again: Any, written: list[sensors.NamedSensor])
     out = []
     for sensor in written:
         read = pairs.get(sensor.name)
-        same = read is not None and (read.cutoff, read.noise) == (sensor.cutoff, sensor.noise)
-        if not same or _facts(draft.model, sensor.sensor) != _facts(again, read.sensor):
+        if (
+            read is None
+            or (read.cutoff, read.noise) != (sensor.cutoff, sensor.noise)
+            or _facts(draft.model, sensor.sensor) != _facts(again, read.sensor)
+        ):
             out.append(sensor.name)
     return out
 
