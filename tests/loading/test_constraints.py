@@ -155,7 +155,7 @@ def test_bodies_that_are_fixed_to_each_other_have_no_rows() -> None:
 
 def test_numbers_that_are_none_are_refused() -> None:
     text = TREE.format('<connect body1="c" anchor="0 nan 0"/>')
-    with pytest.raises(rb.ModelError, match="equality 0 has nan"):
+    with pytest.raises(rb.ModelError, match="equality 0 has the value nan"):
         load_quietly(text)
 
 
