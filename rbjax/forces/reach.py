@@ -49,12 +49,14 @@ class Piece(NamedTuple):
 
     point: a point of its line, in the world.
     pull: its direction from start to end, divided by the divisor of its pulley.
+    bodies: the bodies of its two ends.
     """
 
     start: int
     end: int
     point: Vec3
     pull: Vec3
+    bodies: tuple[int, int]
 
 
 def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:

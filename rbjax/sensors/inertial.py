@@ -93,8 +93,8 @@ class WrenchSensor(FrameSensor):
 class ForceSensor(WrenchSensor):
     """Measure the force (3,) that the parent exerts on the body of a frame, in axes of the frame.
 
-    It holds the weight and the rate of momentum of the body and of all bodies that it carries, less
-    contact forces, forces of connects and welds, and given wrenches on them.
+    It is the rate of momentum of the body and of all bodies that it carries, less their weight and
+    the forces of contacts, connects, welds and spatial tendons and the given wrenches on them.
     """
 
     of = "N"

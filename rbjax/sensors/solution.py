@@ -21,6 +21,7 @@ from rbjax.lanes import Vec3, fusion_barrier
 from rbjax.lanes.arrays import unpack
 from rbjax.motion.field import Field, dynamics_of, free_motion
 from rbjax.sensors.contact_forces import ContactForces, wrenches_of_contacts
+from rbjax.sensors.tendon_forces import wrenches_of_tendons
 from rbjax.spatial import Force
 
 
@@ -79,15 +80,17 @@ class Solution:
 
     @cached_property
     def body_wrenches(self) -> dict[int, Force]:
-        """The given wrenches and the forces of constraints and contacts on bodies, by body, in
-        world axes at the body's origin."""
+        """The given wrenches and the forces of constraints, spatial tendons and contacts on bodies,
+        by body, in world axes at the body's origin."""
         now, out = self.context, {}
         if self.inputs.wrenches is not None:
             for b, row in enumerate(unpack(self.inputs.wrenches)):
                 out[b] = Force(
                     Vec3(*(row[k] for k in range(3))), Vec3(*(row[k] for k in (3, 4, 5)))
                 )
-        parts = [wrenches_of_contacts(now, self.contacts)] if self.contacts is not None else []
+        parts = [wrenches_of_tendons(now)]
+        if self.contacts is not None:
+            parts.append(wrenches_of_contacts(now, self.contacts))
         if now.model.constraints:
             parts.append(
                 body_reactions(now, *self._field.applied(now.t, now.state, self.inputs)[:2])

@@ -104,6 +104,14 @@ def test_a_hull_is_kept_if_its_mesh_may_touch_a_plane() -> None:
         rb.contact.detect(model, model.default_state().q, pairs=[("floor", "stone")])
 
 
+@pytest.mark.filterwarnings("ignore:.*contact pairs of plane and mesh")
+def test_the_contact_problem_leaves_meshes_out() -> None:
+    model = rb.load(scene("box"), contacts=True)
+    assert model.geoms.pairs == () and "contact pairs of plane and mesh (1)" in model.dropped
+    state = model.default_state()
+    assert np.isfinite(rb.acceleration(model, state, contact="mujoco")).all()
+
+
 def test_corners_of_a_face_with_many_corners_are_spread() -> None:
     """A rectangle with a slight corner in each side keeps its own corners."""
     sides = [(0, 0), (1, -0.01), (2, 0), (2.01, 0.5), (2, 1), (1, 1.01), (0, 1), (-0.01, 0.5)]

@@ -9,7 +9,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.sensors import ContactForces, Context, Solution
-from tests.sensors.equipped import loaded
+from tests.sensors.equipped import loaded, random_motion, rich, sensed_by_mujoco
 from tests.tolerances import F64_PARITY, relative_error
 
 LOOP = """<mujoco><option timestep="0.002"/><worldbody>
@@ -53,6 +53,25 @@ def test_forces_of_connects_and_welds():
         wrenches = jnp.asarray(np.concatenate([moment, given[:, :3]], 1))
         found = read(rb.State(jnp.asarray(d.qpos), jnp.asarray(d.qvel)), wrenches)
         assert relative_error(found, d.sensordata) < F64_PARITY
+
+
+def test_forces_of_spatial_tendons():
+    """Those of actuators, springs and dampers; sites on the world are left out, where MuJoCo adds
+    torques about different points."""
+    m = rich("FORCE", "TORQUE")
+    model = loaded(m)
+    model = model.replace(
+        sensors=tuple(x for x in model.sensors if x.sensor.frame.site != "ground")
+    )
+    off = mujoco.mjtDisableBit
+    m.opt.disableflags |= int(off.mjDSBL_LIMIT) | int(off.mjDSBL_CONTACT)
+    for seed in range(3):
+        state, ctrl = random_motion(model, seed, m.nu)
+        found = rb.sense(model, state, ctrl, named=True)
+        want, d = sensed_by_mujoco(m, state, ctrl)
+        assert abs(d.cfrc_ext).max() > 0.01
+        for name, value in found.items():
+            assert relative_error(value, want[name]) < F64_PARITY
 
 
 STAND = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>

@@ -10,12 +10,12 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.forces.reach import Arms, Piece, Reach, add_arms, arms_of_pieces, distance
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
-from rbjax.lanes import Lane, Vec3, add, mul, quaternion_matrix
+from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import WORLD
+from rbjax.model import Frame as NamedFrame
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.tendons import Waypoint
-from rbjax.spatial import Transform
 
 
 class Segment(NamedTuple):
@@ -75,14 +75,29 @@ def _reach(context: Context, i: int) -> Reach:
     coefficients = table(tendons.coefficients, context.q.dtype)
     if path and path[0].kind == "joint":
         return _fixed(context, path, [lane(coefficients, first + k) for k in range(len(path))])
+    length, pieces = _spatial(context, i)
+    return Reach(length, arms_of_pieces(context.links, pieces))
+
+
+def tendon_pieces(context: Context, tendon: int) -> list[Piece]:
+    """Return the straight pieces of a tendon; a fixed tendon has none."""
+    own: Any = context.model.tendons
+    path = own.paths[tendon]
+    return [] if path and path[0].kind == "joint" else _spatial(context, tendon)[1]
+
+
+def _spatial(context: Context, i: int) -> tuple[Lane, list[Piece]]:
+    """Compute the length and the straight pieces of a spatial tendon."""
+    tendons: Any = context.model.tendons
+    coefficients = table(tendons.coefficients, context.q.dtype)
     length: Lane = 0.0
     pieces: list[Piece] = []
-    for one in segments(path, first):
+    for one in segments(tendons.paths[i], tendons.first_coefficient(i)):
         share = 1.0 if one.pulley < 0 else 1 / lane(coefficients, one.pulley)
         own, found = _between_sites(context, one)
         length = add(length, mul(share, own))
         pieces += [x._replace(pull=x.pull * share) for x in found]
-    return Reach(length, arms_of_pieces(context.links, pieces))
+    return length, pieces
 
 
 def _fixed(context: Context, path: Sequence[Waypoint], coefficients: Sequence[Lane]) -> Reach:
@@ -104,14 +119,16 @@ def _fixed(context: Context, path: Sequence[Waypoint], coefficients: Sequence[La
 def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     """Compute the length and the straight pieces between two sites."""
     start, end = context.site(one.start), context.site(one.end)
+    a, b = (context.model.topology.site_bodies[i] for i in (one.start, one.end))
     if one.geom is None:
         line = _offset(start, end)
         length, inverse = distance(line, context.q.dtype)
-        return length, [Piece(start.link, end.link, start.position, line * inverse)]
+        return length, [Piece(start.link, end.link, start.position, line * inverse, (a, b))]
     g, geoms = one.geom.index, context.model.geoms
     if geoms is None:
         raise InputError("a tendon wraps around a geom, but model.geoms is None; keep the geoms")
-    geom = _geom_frame(context, g)
+    geom = context.frame(NamedFrame(geom=g))
+    middle = geoms.bodies[g]
     centre = geom.position
     kind, radius = geoms.types[g], lane(table(geoms.size, context.q.dtype)[:, 0], g)
     side, inside = None, False
@@ -127,18 +144,9 @@ def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
         inside=inside,
         dtype=context.q.dtype,
     )
-    first = Piece(start.link, geom.link, start.position, path.first)
-    return path.length, [first, Piece(geom.link, end.link, end.position, path.last)]
-
-
-def _geom_frame(context: Context, geom: int) -> Frame:
-    geoms: Any = context.model.geoms
-    quat, p = (table(x, context.q.dtype) for x in (geoms.orientation, geoms.position))
-    placed = Transform(
-        quaternion_matrix(*(lane(quat[:, k], geom) for k in range(4))),
-        Vec3(*(lane(p[:, k], geom) for k in range(3))),
-    )
-    return context.body(geoms.bodies[geom]).then(placed)
+    first = Piece(start.link, geom.link, start.position, path.first, (a, middle))
+    last = Piece(geom.link, end.link, end.position, path.last, (middle, b))
+    return path.length, [first, last]
 
 
 def _offset(a: Frame, b: Frame) -> Vec3:

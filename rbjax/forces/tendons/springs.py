@@ -34,21 +34,33 @@ class TendonSprings(Element):
             if direct is not None:
                 out = out + direct.loads(context)
                 continue
-            reach = tendon_reach(context, i)
-            force: Lane = 0.0
-            if not all(map(is_zero, k)):
-                x = _stretch(context, i, reach.length)
-                force = mul(add(k[0], polynomial(k[1:], x)), x)
-            if not all(map(is_zero, d)):
-                rate = jnp.asarray(reach.speed(context), context.q.dtype)
-                size = jnp.abs(rate) if len(d) > 1 else 0.0
-                force = add(force, mul(add(d[0], polynomial(d[1:], size)), rate))
+            reach, force = tendon_reach(context, i), _force(context, i, k, d)
             out = out + Loads({n: neg(mul(arm, force)) for n, arm in reach.arms.items()})
         return out
 
     def energy(self, context: Context) -> Lane:
         """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
         return total(_energy(context, i, k) for i, k, _ in _springs(context))
+
+
+def spring_forces(context: Context) -> dict[int, Lane]:
+    """Compute the forces of the springs and dampers of tendons, positive if they pull."""
+    if context.model.tendons is None:
+        return {}
+    return {i: _force(context, i, k, d) for i, k, d in _springs(context)}
+
+
+def _force(context: Context, i: int, k: list[Lane], d: list[Lane]) -> Lane:
+    reach = tendon_reach(context, i)
+    force: Lane = 0.0
+    if not all(map(is_zero, k)):
+        x = _stretch(context, i, reach.length)
+        force = mul(add(k[0], polynomial(k[1:], x)), x)
+    if not all(map(is_zero, d)):
+        rate = jnp.asarray(reach.speed(context), context.q.dtype)
+        size = jnp.abs(rate) if len(d) > 1 else 0.0
+        force = add(force, mul(add(d[0], polynomial(d[1:], size)), rate))
+    return force
 
 
 #: the element of all tendons of a model; it has no parameters of its own

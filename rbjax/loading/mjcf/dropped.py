@@ -136,11 +136,9 @@ def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, n
     active = m.eq_active0.astype(bool)
     if not constraints:
         return {"equality constraints": active}
-    tendons = m.eq_type == int(mujoco.mjtEq.mjEQ_TENDON)
     loaded = np.array([is_loaded(m, i) for i in range(m.neq)], bool)
     return {
-        "equality constraints of tendons": active & tendons,
-        "equality constraints of flexes": active & ~loaded & ~tendons,
+        "equality constraints of flexes": active & ~loaded,
         "equality constraints that are not active": ~active,
     }
 
