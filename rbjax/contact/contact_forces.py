@@ -82,8 +82,8 @@ def contact_forces(
             values = jnp.stack([jnp.asarray(x, rows.dtype) for x in lanes])
             return k + 1, rows.at[k].set(values), exists.at[k].set(active)
 
-        empty = (jnp.int32(0), jnp.zeros((n, 19), problem.dtype), jnp.zeros(n, bool))
-        _, rows, exists = contacts.scan(problem.touching, store, empty)
+        start = (jnp.int32(0), jnp.zeros((n, 19), problem.dtype), jnp.zeros(n, bool))
+        _, rows, exists = contacts.scan(problem.touching, store, start)
         forces = jnp.where(exists[:, None], rows[:, 13:], 0.0)
         found.append((exists, rows[:, 0], rows[:, 1:4], rows[:, 4:13].reshape(n, 3, 3), forces))
         pairs = model.geoms.pairs  # type: ignore[union-attr]
@@ -91,6 +91,7 @@ def contact_forces(
                   for _ in range(COUNTS[kind])]  # fmt: skip
     if not found:
         none = jnp.zeros((0, 3), problem.dtype)
-        empty = (none[:, 0] > 0, none[:, 0], none, jnp.zeros((0, 3, 3)), jnp.zeros((0, 6)))
-        return ContactForces(*empty, ())
-    return ContactForces(*(jnp.concatenate(x) for x in zip(*found, strict=True)), tuple(geoms))
+        frame, force = jnp.zeros((0, 3, 3), problem.dtype), jnp.zeros((0, 6), problem.dtype)
+        return ContactForces(none[:, 0] > 0, none[:, 0], none, frame, force, ())
+    exists, distance, position, frame, force = map(jnp.concatenate, zip(*found, strict=True))
+    return ContactForces(exists, distance, position, frame, force, tuple(geoms))
