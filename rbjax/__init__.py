@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from rbjax import motion as motion
     from rbjax.forces import applied_forces, tendon_jacobian, tendon_lengths
     from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
+    from rbjax.motion.impacts import ImpactTrajectory, simulate_impacts
     from rbjax.motion.linearise import Linear, linearise
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -95,6 +96,8 @@ _MODULES = {
     "scenes": "loading",
     "sense": "sensors",
     "simulate": "motion.simulate",
+    "ImpactTrajectory": "motion.impacts",
+    "simulate_impacts": "motion.impacts",
     "step": "motion.step",
     "tendon_jacobian": "forces",
     "tendon_lengths": "forces",
@@ -126,6 +129,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "ImpactTrajectory",
     "InputError",
     "Frame",
     "Model",
@@ -188,6 +192,7 @@ __all__ = [
     "sense",
     "sensors",
     "simulate",
+    "simulate_impacts",
     "solvers",
     "spatial",
     "stability",

@@ -30,7 +30,7 @@ FLOORS = {
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
     "constraints": "forces",
-    "contact": "forces",
+    "contact": "constraints solvers",
     "solvers": "rotations",
     "motion": "solvers constraints contact",
     "estimation": "motion",

@@ -32,6 +32,7 @@ ELSEWHERE = {
     "rollout",
     "scenes",
     "simulate",
+    "simulate_impacts",
     "tendon_reach",
     "threads",
     "write_back",

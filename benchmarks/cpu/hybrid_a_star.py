@@ -1,13 +1,15 @@
 """Hybrid A* and A* beside grid_dijkstra, on a core: `python -m benchmarks.cpu.hybrid_a_star`.
 
-The maps and the car of `benchmarks.cpu.grid_dijkstra`. Costs are in one unit. Those of hybrid A*
-lead exactly to the goal, the others to a set around it. `smooth s` is the time of the smoother.
+`[--full]`: five maps, by default two, in results of their own. The maps and the car of
+`benchmarks.cpu.grid_dijkstra`. Costs are in one unit. Those of hybrid A* lead exactly to the goal,
+the others to a set around it. `smooth s` is the time of the smoother.
 """
 
 from __future__ import annotations
 
 import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
+import argparse
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +17,7 @@ from typing import Any
 import jax
 
 from benchmarks.shared.clutter import CAR, CONTROLS, HEADINGS, TOLERANCE, clutter, query
+from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.planning import Path, grid_a_star, grid_dijkstra, hybrid_a_star, smooth
 
@@ -40,8 +43,11 @@ def smoothed(path: Path, field: Any) -> dict[str, Any]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_full(parser, "five maps", "two")
+    full = parser.parse_args().full
     rows = []
-    for seed in range(5):
+    for seed in progress(range(5 if full else 2), lambda seed: f"map {seed}"):
         grid, places = clutter(seed)
         problem = grid, CAR, *query(places), CONTROLS
         for search, weight in (
@@ -61,7 +67,7 @@ def main() -> None:
                 rows[-1] |= smoothed(plan.path, grid.distance_field())
             print(markdown_table(rows[-1:], rows[-1]), flush=True)
     print(markdown_table(rows, rows[2]))
-    print(save("cpu-hybrid-a-star", rows))
+    print(save(sized("cpu-hybrid-a-star", full), rows))
 
 
 if __name__ == "__main__":

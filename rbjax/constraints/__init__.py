@@ -68,6 +68,7 @@ from rbjax.constraints.rows.pairs import (
 )
 from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.rows.row import Constraint, Row
+from rbjax.constraints.rows.tendons import TendonPolynomial
 from rbjax.forces.place import Place
 
 __all__ = [
@@ -123,6 +124,7 @@ __all__ = [
     "Soft",
     "Spherical",
     "TangentSpace",
+    "TendonPolynomial",
     "UdwadiaKalaba",
     "Universal",
     "Weld",

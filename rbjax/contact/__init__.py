@@ -1,7 +1,28 @@
-"""Contacts of geoms: which pairs may touch, where, how far they are apart, and their forces."""
+"""Contacts of geoms: which pairs may touch, where, how far they are apart, and laws of contact.
 
+    detect             candidate contacts at a configuration
+    impulse            velocity after an impact (Newton's or energetic restitution)
+    SoftContact        MuJoCo's soft contact
+    CompliantContact   force element: Hunt-Crossley and smooth friction
+    MoreauContact      dynamics of a step: impulses with restitution and Coulomb friction
+`rb.simulate_impacts` integrates from impact to impact.
+"""
+
+from rbjax.contact.compliant import CompliantContact
 from rbjax.contact.detection import Contacts, detect, pairs
+from rbjax.contact.impulse import Impulse, impulse
+from rbjax.contact.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
 
-__all__ = ["Contacts", "SoftContact", "detect", "laws", "pairs"]
+__all__ = [
+    "CompliantContact",
+    "Contacts",
+    "Impulse",
+    "MoreauContact",
+    "SoftContact",
+    "detect",
+    "impulse",
+    "laws",
+    "pairs",
+]

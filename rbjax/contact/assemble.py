@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
@@ -20,7 +21,7 @@ from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Vec3, mul, neg, quaternion_matrix, sub, total
+from rbjax.lanes import Lane, Mat3, Vec3, is_zero, mul, neg, quaternion_matrix, sub, total
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
@@ -46,12 +47,14 @@ class Touching(NamedTuple):
     @classmethod
     def of(cls, model: Model) -> Touching:
         """Find the links and geoms of the pairs of a model."""
-        own, links = model.geoms, model.topology.body_links
+        own: Any = model.geoms
+        links = model.topology.body_links
         pairs = () if own is None else own.pairs
         geoms = sorted({g for pair in pairs for g in pair})
         bodies = {g: own.bodies[g] for g in geoms}
         of_geom = {g: WORLD if b == WORLD else links[b] for g, b in bodies.items()}
-        both = [tuple(sorted((of_geom[a], of_geom[b]))) for a, b in pairs]
+        ends = [(of_geom[a], of_geom[b]) for a, b in pairs]
+        both = [(min(pair), max(pair)) for pair in ends]
         link_pairs = sorted(set(both))
         touching = sorted(set(of_geom.values()) - {WORLD})
         return cls(geoms, touching, of_geom, link_pairs, [link_pairs.index(x) for x in both])
@@ -85,12 +88,26 @@ class Assembly:
         d = self.d
         return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
 
-    def _tree(self) -> Tree:
+    @cached_property
+    def _articulated(self) -> bool:
+        """Whether all contacts are with the world, other rows are on single dofs, and all links are
+        rigid."""
+        kinds, limited = self.top.joints, self.model.solver.limited  # type: ignore[union-attr]
+        world = all(WORLD in pair for pair in self.touching.link_pairs)
+        rigid = all(is_zero(x) for x in jax.tree.leaves([joint.modal for joint in self.joints]))
+        return rigid and world and not any(kinds[j].quaternion for j in limited)
+
+    def _tree(self) -> Tree | ArticulatedTree:
+        links = self.touching.links, self.touching.link_pairs
+        weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
+        if self._articulated:
+            both = zip(self.joints, self.d.constants, strict=True)
+            X = [joint.transform(link) for joint, link in both]
+            return ArticulatedTree(self.d, self.joints, X, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
         M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
-        links = self.touching.links, self.touching.link_pairs
-        return Tree(self.top.parents, self.top.ancestors, S, M, *links)
+        return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
 
     def _world(self) -> World:
         own, rows = columns(self.model.geoms), []
@@ -105,16 +122,23 @@ class Assembly:
             else:
                 placed = self._poses[link].then(placed)
             rows.append([*placed.R, *placed.p, *_row(own.size, g)])
-        twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in self.touching.links]
-        dtype = self.q.dtype
-        return World(stacked(rows, dtype), stacked([*twists, [0.0] * 6], dtype))
+        moving, dtype = self.touching.links, self.q.dtype
+        poses = None
+        if self._articulated:
+            twists = [[*self._twists[i]] for i in moving]
+            lanes = [[*self._poses[i].R, *self._poses[i].p] for i in moving]
+            poses = stacked([*lanes, [*Mat3.identity(), 0.0, 0.0, 0.0]], dtype)
+        else:
+            twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in moving]
+        return World(stacked(rows, dtype), stacked([*twists, [0.0] * 6], dtype), poses)
 
     @cached_property
     def _weights(self) -> tuple[Any, Any]:
         return inverse_weights(self.model, self.q.dtype)
 
     def _sets(self) -> list[ContactSet]:
-        geoms, touching = self.model.geoms, self.touching
+        geoms: Any = self.model.geoms
+        touching = self.touching
         if not touching.geoms:
             return []
         given = pair_parameters(geoms, geoms.pairs)

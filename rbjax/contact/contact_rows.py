@@ -24,7 +24,7 @@ from rbjax.contact.cones import Cone
 from rbjax.contact.narrow_phase import COUNTS, PAIRS
 from rbjax.contact.shapes import Contact, Shape, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total
+from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -33,7 +33,7 @@ class Row(NamedTuple):
 
     Fields:
         pair: index of its pair of geoms.
-        axes: b_k of each row.
+        axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
     """
@@ -85,10 +85,13 @@ class World(NamedTuple):
     Fields:
         geoms: (n, 15) rotation, position and size of each geom.
         twists: (n, 6) twist of each link; the last one is the world.
+        poses: (n, 12) rotation and position of each link, if rows are in the axes of the link that
+            touches the world.
     """
 
     geoms: jax.Array
     twists: jax.Array
+    poses: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -163,11 +166,20 @@ class ContactSet:
     def _row(self, world: World, contact: Contact, pair: Any, margin: Lane, active: Any) -> Row:
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
         axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        row = Row(pair, axes[: self.dim], 0.0, [])
+        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [])
         v = row.along(self.relative(row, world.twists))
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
+
+    def _in_link(self, world: World, axes: list[Motion], pair: Any) -> list[Motion]:
+        """Transform axes to the link that touches the world, if all contacts are with the world."""
+        if world.poses is None:
+            return axes
+        moving = _entry(self.links.min(1), pair)  # the world is the last one
+        x = unpack(world.poses[moving])
+        E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
+        return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
 
     def _reference(self, row: Row, r: Lane, v: list[Lane]) -> tuple[Lane, list[Lane]]:
         """Compute the inverse regularization and the reference accelerations of a contact.
@@ -181,7 +193,8 @@ class ContactSet:
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
             return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
 
-        out, sliding = [towards(r, v[0], solref)], solref
+        out = [towards(r, v[0], solref)]
+        sliding: Sequence[Lane] = solref
         if mu and not options.elliptic:
             factor = 2.0 * mu[0] * mu[0] / options.impratio
             R = regularisation(d, weight * (1.0 + mu[0] * mu[0])) * factor
@@ -207,12 +220,12 @@ class Slots(NamedTuple):
     """The active contacts of a set, in consecutive slots.
 
     Fields:
-        count: the number of active contacts.
+        length: the number of active contacts.
         rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
         pairs: (n,) the pair of geoms of each slot.
     """
 
-    count: jax.Array
+    length: jax.Array
     rows: jax.Array
     pairs: jax.Array
 
@@ -226,9 +239,9 @@ class Slots(NamedTuple):
             # the next contact overwrites one that is not active
             lanes = [x for axis in row.axes for x in axis]
             values = pack([*lanes, row.D, *row.reference], like)
-            rows = slots.rows.at[slots.count].set(values)
-            pairs = slots.pairs.at[slots.count].set(jnp.asarray(row.pair, jnp.int32))
-            return Slots(slots.count + jnp.asarray(active, jnp.int32), rows, pairs)
+            rows = slots.rows.at[slots.length].set(values)
+            pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
+            return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs)
 
         none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32))
         return contacts.scan(world, store, none)
@@ -242,7 +255,7 @@ class Slots(NamedTuple):
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the active slots."""
-        return jax.lax.fori_loop(0, self.count, step, carry)
+        return jax.lax.fori_loop(0, self.length, step, carry)
 
 
 def _first_nonzero(a: Sequence[Lane], b: Sequence[Lane]) -> Sequence[Lane]:

@@ -24,8 +24,9 @@ from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
 from rbjax.lanes import Lane, Vec3, add, mul, total
 from rbjax.model import WORLD, Model, prepare
+from rbjax.model.cells import constant_leaves
 from rbjax.model.leaves import table
-from rbjax.model.links import constant_leaves, lane
+from rbjax.model.links import lane
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 #: MuJoCo's least weight of a body that moves
@@ -53,10 +54,9 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     if not model.nv:
         return np.zeros((model.nb, 2)), np.zeros(0)
     if constant and not isinstance(model.bodies.com, jax.core.Tracer):
-        body, dof = np.zeros((model.nb, 2)), np.array(diagonal)
-        moving = _moving(model)
-        body[moving] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
-        return _with_slides(model, body, _averaged(model, dof))
+        found = np.zeros((model.nb, 2))
+        found[_moving(model)] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
+        return _with_slides(model, found, _averaged(model, np.array(diagonal)))
     like = jnp.zeros((), dtype)
     dof = _averaged(model, d.pack(diagonal, jnp.zeros(model.nv, dtype)))
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)

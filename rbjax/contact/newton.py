@@ -6,7 +6,7 @@ The cost is convex and piecewise smooth, so the method converges from any start.
 step is exact (pyramids, limits, friction loss) or converges quadratically (elliptic cones). The
 iteration ends if the gradient g is small relative to the forces:
 
-    sum g_i^2 / M_ii <= tolerance^2 sum (rhs_i^2 + (M x)_i^2 + (J^T f)_i^2) / M_ii
+    sum w_i g_i^2 <= tolerance^2 sum w_i (rhs_i^2 + (M x)_i^2 + (J^T f)_i^2),   w_i = (M^-1)_ii
 
 (Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*, 2014; Boyd &
 Vandenberghe, *Convex Optimization*, 9.5.)
@@ -141,15 +141,14 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
         forces = add_row(forces, row, f)
     y = unpack(at.Mx)
     g = [sub(a, add(b, f)) for a, b, f in zip(y, problem.rhs, forces, strict=True)]
-    inverse = [1.0 / row[i] for i, row in enumerate(tree.M)]
-    size = _square(inverse, y, problem.rhs, forces)
-    error = jnp.sqrt(_square(inverse, g) / jnp.maximum(size, jnp.finfo(dtype).tiny))
+    size = _square(tree.weights, y, problem.rhs, forces)
+    error = jnp.sqrt(_square(tree.weights, g) / jnp.maximum(size, jnp.finfo(dtype).tiny))
     return _Values(pack(g, at.x), stiffness, jnp.asarray(error, dtype))
 
 
-def _square(inverse: Sequence[Lane], *vectors: Sequence[Lane]) -> Lane:
-    """Compute the sum of x_i^2 / M_ii over some vectors x."""
-    return total(mul(d, mul(x, x)) for v in vectors for d, x in zip(inverse, v, strict=True))
+def _square(weights: Sequence[Lane], *vectors: Sequence[Lane]) -> Lane:
+    """Compute the sum of w_i x_i^2 over some vectors x."""
+    return total(mul(d, mul(x, x)) for v in vectors for d, x in zip(weights, v, strict=True))
 
 
 def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.scalar_rows import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, inner, is_zero, mul, sub, unpack
+from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -37,6 +37,7 @@ class Tree(NamedTuple):
         M: rows of the lower triangle of the mass matrix.
         touching: the links that can touch, in the order of `World.twists`.
         link_pairs: pairs of links that can touch, as links of the tree or WORLD.
+        weights: inverse inertia of each dof, which scales the error.
     """
 
     parents: Sequence[int]
@@ -45,6 +46,7 @@ class Tree(NamedTuple):
     M: list[list[Lane]]
     touching: Sequence[int]
     link_pairs: Sequence[tuple[int, int]]
+    weights: list[Lane]
 
     def times_M(self, x: list[Lane]) -> list[Lane]:
         """Compute M x."""
@@ -91,7 +93,7 @@ class Tree(NamedTuple):
         stiffness: (n, 21) K of each pair of links. rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]
-        K = [_inertia([k[c] for c in range(21)]) for k in unpack(stiffness)]
+        K = [inertia_of_row(k) for k in stiffness]
         fixed: dict[int, Any] = {}
         for (a, b), k in zip(self.link_pairs, K, strict=True):
             if WORLD in (a, b):
@@ -121,8 +123,10 @@ def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> No
             A[i][j] = add(A[i][j], S[j].dot(F))
 
 
-def _inertia(lanes: list[Lane]) -> ArticulatedInertia:
-    return ArticulatedInertia(Sym3(*lanes[:6]), Mat3(*lanes[6:15]), Sym3(*lanes[15:]))
+def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
+    """Return a matrix K from its entries (21,): J, H and M."""
+    x = unpack(row)
+    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
 
 
 def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
@@ -136,7 +140,7 @@ class Problem:
     """The convex problem at a state.
 
     Fields:
-        tree: the tree in world axes.
+        tree: `Tree` or `ArticulatedTree`.
         rhs: tau - b of each dof.
         sets: contacts by their number of rows.
         rows: limits, friction loss and equalities.
@@ -144,17 +148,23 @@ class Problem:
         dtype: of all arrays.
     """
 
-    tree: Tree
+    tree: Any
     rhs: list[Lane]
     sets: list[ContactSet]
     rows: list[ScalarRow]
-    world: World
+    world: World | None
     dtype: Any
     slots: list[Slots] = field(default_factory=list)
 
     def detect(self) -> None:
         """Find the active contacts."""
-        self.slots = [Slots.collect(contacts, self.world) for contacts in self.sets]
+        self.slots = [Slots.collect(contacts, self.touching) for contacts in self.sets]
+
+    @property
+    def touching(self) -> World:
+        """The geoms and links that can touch, of a problem with contacts."""
+        assert self.world is not None
+        return self.world
 
     def constraint_forces(self, x: list[Lane]) -> list[Lane]:
         """Compute J^T f at x from all candidates; reverse-mode derivatives exist."""
@@ -167,7 +177,7 @@ class Problem:
                 f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
                 return of.add_wrench(row, wrenches, row.wrench(f))
 
-            wrenches = contacts.scan(self.world, push, wrenches)
+            wrenches = contacts.scan(self.touching, push, wrenches)
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
         for row in self.rows:
             f, _ = row.response(sub(row.along(x), row.reference))
@@ -187,13 +197,3 @@ def add_row(out: list[Lane], row: ScalarRow, f: Lane) -> list[Lane]:
     for i, x in row.J.items():
         out[i] = add(out[i], mul(x, f))
     return out
-
-
-def dot(a: Sequence[Lane], b: Sequence[Lane]) -> Lane:
-    """Compute the inner product of two lists of lanes."""
-    return inner(a, b)
-
-
-def is_empty(K: Any) -> bool:
-    """Return True if all entries are structural zeros."""
-    return all(is_zero(x) for x in jax.tree.leaves(K))

@@ -19,7 +19,6 @@ Source: MuJoCo, *Computation*, constraint model, parameters; Todorov 2014.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -35,7 +34,7 @@ IMPEDANCES = 1e-4, 0.9999
 LEAST = 1e-15
 
 
-def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:
+def impedance(r: Lane, solimp: Any) -> Lane:
     """Compute the impedance d of a row at a residual.
 
     Derivatives are finite everywhere. The derivative by r is zero at r = 0.
@@ -58,7 +57,7 @@ def impedance(r: Lane, solimp: Sequence[Lane]) -> Lane:
 
 
 def reference(
-    r: Lane, velocity: Lane, d: Lane, solref: Sequence[Lane], solimp: Sequence[Lane], dt: Lane,
+    r: Lane, velocity: Lane, d: Lane, solref: Any, solimp: Any, dt: Lane,
     *, refsafe: bool,
 ) -> Lane:  # fmt: skip
     """Compute the reference acceleration of a row, -b J v - k d r.
@@ -85,15 +84,13 @@ def regularisation(d: Lane, weight: Lane) -> Lane:
     return _larger((1 - d) / d * weight, LEAST)
 
 
-def stiffness_and_damping(solref: Sequence[Lane], solimp: Sequence[Lane]) -> tuple[Lane, Lane]:
+def stiffness_and_damping(solref: Any, solimp: Any) -> tuple[Lane, Lane]:
     """Compute the stiffness k, 1/s^2, and the damping b, 1/s, of a row."""
     *solref, high = _constants(*solref, solimp[1])
     return _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), None)
 
 
-def _stiffness_and_damping(
-    solref: Sequence[Lane], high: Lane, dt: Lane | None
-) -> tuple[Lane, Lane]:
+def _stiffness_and_damping(solref: Any, high: Lane, dt: Lane | None) -> tuple[Lane, Lane]:
     """Compute k and b. `high` is d_w within its limits. The time constant is 2 dt or more."""
     first, second = solref
     standard = first > 0

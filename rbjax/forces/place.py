@@ -100,21 +100,25 @@ def _named_frame(place: Any, context: Context) -> Frame:
     return context.body(WORLD if place.body is None else place.body)
 
 
-def end() -> Any:
-    """Declare an end of an element or a constraint: a `Place`, or an `rb.Frame`."""
-    return eqx.field(converter=_as_place)
-
-
-def _as_place(given: Any) -> Any:
-    """Convert an `rb.Frame` to a place. Return anything else unchanged."""
+def as_place(given: Any) -> Any:
+    """Convert an `rb.Frame` to a place, as a field's converter. Return anything else unchanged."""
     if not isinstance(given, FixedFrame):
         return given
-    body, point, site = given
+    if given.geom is not None or given.center is not None:
+        raise InputError(
+            f"{given}: got a geom or a center of mass, expected a body or a site; give "
+            "rb.Frame(body=..., point=...)"
+        )
+    body, site = given.body, given.site
     if (body is None) == (site is None):
         got = "neither" if body is None else "both"
         raise InputError(f"Frame: got {got} of body and site, expected exactly one")
-    point = (0.0, 0.0, 0.0) if point is None else point
-    return Place.on(body=None if body == "world" else body, site=site, point=point)
+    point = (0.0, 0.0, 0.0) if given.point is None else given.point
+    place = Place.on(body=None if body == "world" else body, site=site, point=point)
+    if given.orientation is None:
+        return place
+    turn = check_array("Frame", "orientation", given.orientation, (4,)).astype(float)
+    return Place(place.position, quaternion.normalize(turn), place.body, site)
 
 
 def check_places(record: Any) -> None:

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -32,7 +33,7 @@ from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.joints.polynomials import polynomial
-from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.place import Place, as_place, check_places
 from rbjax.forces.reach import distance
 from rbjax.lanes import Lane, Mat3, Vec3, add, inner, is_literal, is_zero, mul, sub
 from rbjax.model import Model
@@ -69,8 +70,8 @@ class PointSpring(Element):
         True
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     stiffness: jax.Array
     damping: jax.Array
     slack: jax.Array
@@ -169,8 +170,8 @@ class Bushing(Element):
         [-10.0]
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     stiffness: jax.Array
     damping: jax.Array
     unlimited = ()

@@ -73,6 +73,10 @@ def frame_transform(model: Model, frame: Frame, dtype: Any) -> tuple[int, Transf
     """
     places = (frame.body, frame.site, frame.geom, frame.center)
     if sum(x is not None for x in places) != 1:
+        if frame.geom is not None or frame.center is not None:
+            names = zip(("body", "site", "geom", "center"), places, strict=True)
+            got = " and ".join(name for name, x in names if x is not None)
+            raise InputError(f"a frame has {got}, expected exactly one of them")
         got = "neither" if all(x is None for x in places) else "both"
         raise InputError(f"got {got} of body and site, expected exactly one")
     if frame.site is not None:

@@ -13,10 +13,12 @@ them by name. `rbjax.recommend.solver(model, state, accuracy)` chooses one.
     on a Lie group        rkmk, CrouchGrossman3, CommutatorFree4, generalized_alpha,
                           RigidBodySplitting
 The last three groups accept terms `OnGroup`. The second group also accepts any pair of arrays.
+`integrate_until` integrates until an event, with the derivatives of the event.
 `Compensated` wraps a solver of the first group and carries the rounding errors of its additions.
 """
 
 from rbjax.solvers.compensated import Compensated
+from rbjax.solvers.events import Arrival, carry_back, integrate_until
 from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
 from rbjax.solvers.lie import (
     CommutatorFree4,
@@ -121,6 +123,10 @@ __all__ = [
     "CommutatorFree4",
     "RigidBody",
     "RigidBodySplitting",
+    # events
+    "integrate_until",
+    "carry_back",
+    "Arrival",
     # roots
     "RootFinder",
     "newton",

@@ -10,6 +10,7 @@
     state_matrix, reduced_linearisation, stable_step, measured_stable_step
                                           a robot's linearised motion, and its largest stable step
     drift, trend                          invariants over a million steps, and a test for drift
+    limit_cycle                           fixed point of a return map, and its eigenvalues
     lyapunov, gradient_growth             chaos, and the time after which a gradient is noise
     verdict, attempt, scenes              failures of a run; any solver on scenes built to break it
     plot_regions, plot_spectral_radius    plots on matplotlib axes
@@ -30,6 +31,7 @@ from rbjax.stability.runs.drift import (
     trend,
 )
 from rbjax.stability.runs.largest_step import ROLLOUT, measured_stable_step, stable_step
+from rbjax.stability.runs.limit_cycles import LimitCycle, limit_cycle
 from rbjax.stability.runs.linearisation import (
     Reduced,
     equilibrium,
@@ -117,6 +119,8 @@ __all__ = [
     "DONE",
     "NOT_FINITE",
     "NO_ROOT",
+    "limit_cycle",
+    "LimitCycle",
     "lyapunov",
     "Exponent",
     "gradient_growth",

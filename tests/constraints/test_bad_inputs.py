@@ -49,6 +49,7 @@ MADE: dict[str, Callable] = {
     ),
     "Frame: got neither of body and site": lambda: rc.Spherical(HERE, rb.Frame()),
     "Frame: got both of body and site": lambda: rc.Spherical(rb.Frame("a", None, "b"), HERE),
+    "got a geom or a center": lambda: rc.Spherical(rb.Frame(geom="a"), HERE),
     "an rb.Frame as b": lambda: rc.Distance.between(MODEL, rb.Frame("upper"), "lower"),
     "point and other are both": lambda: rc.Distance.between(
         MODEL, "upper", "lower", other=[0, 0, 0]

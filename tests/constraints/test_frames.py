@@ -8,6 +8,7 @@ import rbjax as rb
 from rbjax import constraints as rc
 
 POINT = (0.1, -0.2, 0.3)
+TURN = (0.6, 0.0, 0.8, 0.0)
 TEXT = """<mujoco><default><geom contype="0" conaffinity="0" size="0.1"/></default><worldbody>
   <body name="upper"><joint name="a" axis="0 1 0"/><geom mass="1"/>
     <site name="tip" pos="0.2 0.1 -0.4" euler="10 20 30"/>
@@ -29,6 +30,10 @@ def rows(*ends):
         (FRAME("lower", POINT), PLACE(body="lower", point=POINT)),
         (FRAME(site="tip"), PLACE(site="tip")),
         (FRAME("world", POINT), PLACE(point=POINT)),
+        (
+            FRAME("lower", POINT, orientation=TURN),
+            rb.forces.Place(np.array(POINT), np.array(TURN), "lower"),
+        ),
     ],
 )
 def test_rows_of_frames(frame: rb.Frame, place: rb.forces.Place) -> None:

@@ -18,14 +18,17 @@ from tests.robots import QUICK, load_quietly
 
 CASSIE = Path(__file__).parents[3] / "shared" / "data" / "cassie"  # beside the repository
 TREE = """<mujoco><option jacobian="dense"><flag contact="disable"/></option><worldbody>
-  <site name="ground" pos="0.3 0 0.2" quat="1 0 2 0"/><body name="stone"><geom size="0.1"/></body>
+  <site name="ground" pos="0.3 0 0.2" quat="1 0 2 0"/>
+  <body name="stone"><geom name="stone" size="0.1"/></body>
   <body name="a" pos="0 0 1"><freejoint/><geom size="0.1"/>
     <site name="a" pos="0.1 0 0" quat="1 2 0 0"/>
     <body name="b" pos="1 0 0"><joint name="hinge" ref="20" axis="1 2 0"/><geom size="0.1"/>
       <site name="b" pos="0 0.1 0"/>
       <body name="tip"><geom size="0.1"/></body></body></body>
   <body name="c" pos="0 2 1"><joint name="slide" type="slide" ref="0.1"/><geom size="0.1"/></body>
-  </worldbody><tendon><fixed name="rope"><joint joint="slide" coef="1"/></fixed></tendon>
+  </worldbody><tendon><fixed name="rope"><joint joint="slide" coef="1"/></fixed>
+  <spatial name="cord"><site site="ground"/><geom geom="stone"/><site site="b"/>
+    <pulley divisor="2"/><site site="a"/><site site="ground"/></spatial></tendon>
   <equality>{}</equality></mujoco>"""
 EQUALITIES = {  # one of each form; its kind here
     '<connect body1="b" anchor="0.1 0.2 0.3"/>': rc.Spherical,
@@ -38,6 +41,8 @@ EQUALITIES = {  # one of each form; its kind here
     '<weld site1="b" site2="ground"/>': rc.Weld,
     '<joint joint1="hinge" joint2="slide" polycoef="0.1 0.2 0.3 0.4 0.5"/>': rc.JointPolynomial,
     '<joint joint1="slide" polycoef="0.3 0 0 0 0"/>': rc.JointPolynomial,
+    '<tendon tendon1="rope" polycoef="0.1 0 0 0 0"/>': rc.TendonPolynomial,
+    '<tendon tendon1="cord" tendon2="rope" polycoef="0.1 -2 0.3 0.1 0.05"/>': rc.TendonPolynomial,
 }  # fmt: skip
 
 
@@ -72,7 +77,7 @@ def as_sines(r: np.ndarray, J: np.ndarray, scale: float, like: np.ndarray) -> tu
 def wanted(constraint: rc.Constraint, r, J, scale: float, like: np.ndarray) -> tuple:
     """MuJoCo's rows of an equality, as ours: pairs with the other sign, for MuJoCo takes the first
     body's frame less the second's."""
-    if isinstance(constraint, rc.JointPolynomial):
+    if isinstance(constraint, rc.JointPolynomial | rc.TendonPolynomial):
         return r, J
     turn = as_sines(r[3:], J[3:], scale, like[3:]) if constraint.size == 6 else (r[:0], J[:0])
     return np.concatenate([-r[:3], turn[0]]), np.concatenate([-J[:3], turn[1]])
@@ -114,7 +119,6 @@ def test_cassie_has_twelve_rows_of_rank_ten() -> None:
 
 LEFT_OUT = {  # an equality: what is said of it
     '<joint name="x" joint1="hinge" active="false"/>': "constraints that are not active (x)",
-    '<tendon name="x" tendon1="rope"/>': "constraints of tendons (x)",
 }
 
 

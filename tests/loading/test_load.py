@@ -236,11 +236,6 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="knee" limited="true" range="0 1"/>')
     ),
     "joint friction loss (dry)": mjcf(body('<joint name="dry" frictionloss="1"/>')),
-    "equality constraints of tendons (loop)": mjcf(
-        body('<joint name="a"/>'),
-        extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
-        '<equality><tendon name="loop" tendon1="idle"/></equality>',
-    ),
     "tendon friction loss (rope)": mjcf(
         body('<joint name="a"/>'),
         extra='<tendon><fixed name="rope" frictionloss="1"><joint joint="a" coef="1"/></fixed>'

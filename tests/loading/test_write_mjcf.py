@@ -22,6 +22,7 @@ from tests.forces.test_transmissions import TRANSMISSIONS
 from tests.loading.test_load import joint, link, urdf
 from tests.oracles.media import fluid_forces, immersed_tree, states
 from tests.oracles.random_actuators import random_actuated
+from tests.oracles.random_tendons import random_tendons
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
@@ -247,6 +248,28 @@ def test_springs_at_points_become_tendons() -> None:
     want = dynamics(model, q, v, u)
     assert relative_error(dynamics(again, q, v, u), want).max() <= F64_PARITY
     assert relative_error(accelerations(text, q, v, u), want).max() <= F64_PARITY
+
+
+def test_tendons_are_kept() -> None:
+    """Paths over joints, around geoms with side sites, after pulleys; all parameters."""
+    spec, rng = random_tendons(1), np.random.default_rng(4)
+    for k, tendon in enumerate(spec.tendons):
+        tendon.stiffness[:], tendon.damping[:] = rng.uniform(1, 9, (2, 3))
+        tendon.springlength[:] = [0.2, 0.2 + k]
+        tendon.limited, tendon.range[:], tendon.margin = True, [0.1, 0.5 + k], 0.02
+        tendon.actfrclimited, tendon.actfrcrange[:] = True, [-1, 2]
+        tendon.frictionloss, tendon.armature = 0.3 * k, 0.1 * (k == 0)
+        tendon.solref_limit[:], tendon.solimp_friction[:3] = [0.1, 0.7], [0.5, 0.6, 0.01]
+    model = load_quietly(spec.compile())
+    again = load_quietly(rb.write_mjcf(model, strict=True))
+    q = jnp.asarray(random_state(spec.compile(), 0)[0])
+    lengths = [np.asarray(rb.tendon_lengths(x, q)) for x in (model, again)]
+    np.testing.assert_allclose(*lengths, rtol=1e-14)
+    for name in ("names", "limited", "rubbing"):
+        assert getattr(again.tendons, name) == getattr(model.tendons, name)
+    pairs = zip(jax.tree.leaves(model.tendons), jax.tree.leaves(again.tendons), strict=True)
+    for a, b in pairs:
+        np.testing.assert_allclose(a, b, rtol=1e-12)
 
 
 # ---------------------------------------------------------------------------- what is said

@@ -275,6 +275,7 @@ CONSTRAINTS: Calls = {
     "RollingDisc": {**PLACES, "radius": 1.0},
     "RollingSphere": {**PLACES, "radius": 1.0},
     "Screw": {**PLACES, "pitch": 1.0},
+    "TendonPolynomial": {"tendon": "a", "driver": "b", "coefficients": S},
     "Weld": PLACES,
     "Revolute": PLACES,
     "Place": {"position": S, "orientation": np.array([1.0, 0.0, 0.0, 0.0]), "body": "pole"},

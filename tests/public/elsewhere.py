@@ -5,8 +5,8 @@ test them.
 """
 
 ELSEWHERE: dict[str, set[str]] = {
-    "rb": {"compile", "compiler_options", "load", "operation_count", "scenes", "threads",
-           "write_back", "write_mjcf"},
+    "rb": {"compile", "compiler_options", "load", "operation_count", "scenes", "simulate_impacts",
+           "threads", "write_back", "write_mjcf"},
     "rotations": {"representations"},
     "spatial": set(),
     "body": {"formulation", "formulations"},
@@ -17,7 +17,7 @@ ELSEWHERE: dict[str, set[str]] = {
     # rows are functions of frames: tests/constraints/test_pairs.py and test_rows.py
     "constraints": {"along", "assemble", "coordinate", "cosine", "displacement", "distance",
                     "formulations", "kinds", "mobility", "places", "time", "turn"},
-    "contact": {"pairs"},
+    "contact": {"impulse", "laws", "pairs"},
     "wheeled": {"at", "controlled", "fidelities", "from_file", "kinds", "simulate",
                 "with_trailers", "write_mjcf"},
     "planning": {"clear", "clear_along", "drives", "grid_a_star", "grid_dijkstra",
@@ -44,16 +44,17 @@ ELSEWHERE: dict[str, set[str]] = {
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",
-                  "imaginary_limit", "linear_analysis", "lyapunov", "measured_order",
+                  "imaginary_limit", "limit_cycle", "linear_analysis", "lyapunov", "measured_order",
                   "measured_stable_step", "motion_matrices", "multistep", "order_by_conditions",
                   "oscillation_limit", "oscillator_factors", "pece", "period_elongation",
                   "plot_regions", "plot_spectral_radius", "real_limit",
                   "reduced_linearisation", "scenes", "spectral_radius", "stability_function",
                   "stability_region", "stable_step", "stiff_stability", "trend", "truth",
                   "verdict"},
-    # makers of solvers, which tests/solvers steps
-    "solvers": {"adams_bashforth", "adams_moulton", "all", "bdf", "chord", "gauss_legendre",
-                "generalized_alpha", "hht_alpha", "implicit_midpoint", "lobatto_iiia",
+    # makers of solvers, which tests/solvers steps, and functions of vector fields
+    "solvers": {"adams_bashforth", "adams_moulton", "all", "bdf", "carry_back", "chord",
+                "gauss_legendre", "generalized_alpha", "hht_alpha", "implicit_midpoint",
+                "integrate_until", "lobatto_iiia",
                 "lobatto_iiic", "newmark", "newton", "pece", "radau_iia", "rkmk",
                 "ros2", "ros34pw2", "stoermer_verlet", "symplectic_euler", "trapezoid",
                 "very_chord", "yoshida4", "yoshida6"},

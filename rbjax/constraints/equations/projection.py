@@ -198,7 +198,10 @@ def _project(
     delassus = factor_delassus(d, factorize(d, context.links.joints), context, rows, damping)
 
     def iterate(f: Residual, first: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
-        """Solve M x = force + G^T l and f(x) = 0 from x = 0, with f(0) = first."""
+        """Solve M x = force + G^T l, f(x) = 0 for x and l, from x = 0.
+
+        first: the residual f(0).
+        """
         x, l = delassus.solve(force, list(-first))
         for _ in range(many - 1):
             more = delassus.solve(None, list(-f(x)))

@@ -29,7 +29,7 @@ from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.place import Place, as_place, check_places
 from rbjax.model.record import check_fields, floats
 
 #: iterations of Newton's method from the nearest of the points `starts`
@@ -63,8 +63,8 @@ class PointOnSurface(Constraint):
         1
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     f: Callable = eqx.field(static=True)
     numbers: Any = eqx.field(converter=arrays, default=None)
     size = 1
@@ -101,8 +101,8 @@ class PointOnCurve(Constraint):
         1.571
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     c: Callable = eqx.field(static=True)
     starts: jax.Array = eqx.field(converter=floats)
     numbers: Any = eqx.field(converter=arrays, default=None)

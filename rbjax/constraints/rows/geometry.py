@@ -160,7 +160,7 @@ def places(
     R, p = forward_kinematics(model, q)
 
     def of(end: End) -> Place:
-        body = end
+        body: Any = end
         if isinstance(end, FixedFrame):
             found, _ = locate("between", model, q, end)
             body = None if found == WORLD else found

@@ -38,7 +38,7 @@ from rbjax.constraints.rows.row import Constraint, Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.place import Place, as_place, check_places
 from rbjax.model import Frame as FixedFrame
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
@@ -63,8 +63,8 @@ class Pair(Constraint):
         turns: slice of the rows that are the sine of an angle (`turn`), or None.
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     primitives: ClassVar[Sequence[Primitive]] = ()
     turns: ClassVar[slice | None] = None
 

@@ -31,7 +31,7 @@ import jax.numpy as jnp
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.place import Place, as_place, check_places
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
@@ -76,8 +76,8 @@ class Rolling(Constraint):
         radius: radius of the wheel, m, above zero.
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     radius: jax.Array = eqx.field(converter=floats)
     size = 3
 
@@ -158,8 +158,8 @@ class KnifeEdge(Constraint):
         1
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     size = 1
 
     def __check_init__(self) -> None:

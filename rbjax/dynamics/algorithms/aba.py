@@ -134,19 +134,22 @@ def aba(
     return qdd, factors
 
 
-def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
-    """Factorize the mass matrix plus a diagonal matrix `extra`, which is given per link."""
+def factorize(d: Driver, joints: Any, extra: Any = None, inertia: Any = None) -> Any:
+    """Factorize the mass matrix plus a diagonal matrix `extra` and the mass matrix of articulated
+    inertias, both given per link."""
 
     def inward(x, I_children):
-        link, joint, *more = x
-        if more:
-            link = replace(link, armature=add(link.armature, more[0]))
+        link, joint, more, own = x
+        link = replace(link, armature=add(link.armature, more))
         X = joint.transform(link)
-        I_a, factor = eliminate(link, joint, X, joint.inertia(link).articulated() + I_children)
-        return to_parent(X, I_a, factor, rigid_mass(link, joint, I_children)), factor
+        others = I_children + own
+        I_a, factor = eliminate(link, joint, X, joint.inertia(link).articulated() + others)
+        return to_parent(X, I_a, factor, rigid_mass(link, joint, others)), factor
 
-    given = (d.constants, joints) if extra is None else (d.constants, joints, extra)
-    return d.inward(inward, ArticulatedInertia.zero(), d.zip(*given))
+    zero = ArticulatedInertia.zero()
+    extra = d.scattered({}, 0.0) if extra is None else extra
+    inertia = d.scattered({}, zero) if inertia is None else inertia
+    return d.inward(inward, zero, d.zip(d.constants, joints, extra, inertia))
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:

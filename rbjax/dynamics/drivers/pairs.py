@@ -87,8 +87,8 @@ def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
     """Compute a column of `pair_matrix` as an array (n,).
 
     Args:
-        above, below: pairs of the lanes a of all links, as arrays (n,), and the lanes b of the link
-            of the column.
+        above, below: pairs (a, b) as in `pair_matrix`: the lanes of a are arrays (n,) over all
+            links, and the lanes of b belong to the link of the column.
         places: the row (n,) of this link in `which_moves`.
     """
     upper, lower = (

@@ -3,6 +3,7 @@
     connect                   Spherical
     weld                      Weld; Spherical if torquescale is zero
     joint                     JointPolynomial
+    tendon                    TendonPolynomial
 These constraints are rigid. MuJoCo's equalities are soft, with `solref` and `solimp`. With
 `compliant` the constraints are soft too and give MuJoCo's accelerations (`Soft`; `QuaternionWeld`
 for a weld). torquescale then weights rotation against translation.
@@ -26,6 +27,7 @@ from rbjax.constraints import (
     Rack,
     Soft,
     Spherical,
+    TendonPolynomial,
     Weld,
 )
 from rbjax.errors import ModelError
@@ -34,7 +36,8 @@ from rbjax.loading.write.draft import Draft, place_in_body, text
 from rbjax.model import WORLD, Model
 
 _KIND = mujoco.mjtEq
-_LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), int(_KIND.mjEQ_JOINT)}
+_COUPLINGS = {int(_KIND.mjEQ_JOINT): JointPolynomial, int(_KIND.mjEQ_TENDON): TendonPolynomial}
+_LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), *_COUPLINGS}
 _TAGS: dict[type, str] = {Spherical: "connect", Weld: "weld"}
 _TERMS = 5  # number of coefficients of MuJoCo's polynomials
 
@@ -74,8 +77,8 @@ def _refuse_nan(m: mujoco.MjModel, i: int) -> None:
 def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
     kind, data = int(m.eq_type[i]), m.eq_data[i]
     first, second = int(m.eq_obj1id[i]), int(m.eq_obj2id[i])
-    if kind == int(_KIND.mjEQ_JOINT):
-        return JointPolynomial(first, None if second < 0 else second, leaf(data[:_TERMS]))
+    if kind in _COUPLINGS:
+        return _COUPLINGS[kind](first, None if second < 0 else second, leaf(data[:_TERMS]))
     is_weld = kind == int(_KIND.mjEQ_WELD)
     if _has_sites(m, i):
         a, b = (Place.on(site=s) for s in (first, second))
@@ -93,9 +96,9 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
-    solref = safe_solref(m, m.eq_solref[i])
-    solref, solimp, weight = map(leaf, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
-    return Soft(one, solref, solimp, weight, bias=not isinstance(one, JointPolynomial))
+    given = safe_solref(m, m.eq_solref[i])
+    solref, solimp, weight = map(leaf, (given, m.eq_solimp[i], _weights(m, i, one.size)))
+    return Soft(one, solref, solimp, weight, bias=type(one) not in _COUPLINGS.values())
 
 
 def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
@@ -103,6 +106,9 @@ def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
         ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
         return m.dof_invweight0[m.jnt_dofadr[ends[ends >= 0]]].sum(keepdims=True)
+    if int(m.eq_type[i]) == int(_KIND.mjEQ_TENDON):
+        ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
+        return m.tendon_invweight0[ends[ends >= 0]].sum(keepdims=True)
     along, about = m.body_invweight0[_end_bodies(m, i)].sum(0)
     return np.array([along] * 3 + [about] * (rows - 3))
 
@@ -122,7 +128,7 @@ def _end_bodies(m: mujoco.MjModel, i: int) -> np.ndarray:
 
 def _ends_move(m: mujoco.MjModel, i: int) -> bool:
     """Check whether a joint lies between the two bodies; if not, MuJoCo has no constraint rows."""
-    if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
+    if int(m.eq_type[i]) in _COUPLINGS:
         return True
     first, second = m.body_weldid[_end_bodies(m, i)]
     return bool(first != second)
@@ -144,6 +150,13 @@ def write_constraints(draft: Draft) -> list[Constraint]:
             element = ET.SubElement(draft.equality, "joint", polycoef=text(coupling.coefficients))
             element.attrib |= {k: draft.joint(j) for k, j in given_ends}
             written.append(coupling)
+        elif kind is TendonPolynomial and not one.coefficients[_TERMS:].any():
+            names = {"tendon1": one.tendon, "tendon2": one.driver}
+            element = ET.SubElement(draft.equality, "tendon", polycoef=text(one.coefficients))
+            pairs = ((k, draft.model.tendon(x)) for k, x in names.items() if x is not None)
+            element.attrib |= {k: draft.tendons[i] for k, i in pairs}
+            padded = np.concatenate([one.coefficients, np.zeros(_TERMS)])[:_TERMS]
+            written.append(TendonPolynomial(one.tendon, one.driver, padded))
         else:
             draft.note(f"no MJCF form, left out: constraint {kind.__name__}")
             continue

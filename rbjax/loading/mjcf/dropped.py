@@ -29,8 +29,9 @@ _CURES = {
     "joint friction loss": "load(friction=True) loads it",
     "equality constraints (": "load(constraints=True) loads them",
     "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
-    "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
-    "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
+    "contacts": "load(contacts=True) takes them; for wheels on the ground use rbjax.wheeled",
+    "collision shapes": "load(contacts=True) takes them; for wheels on the ground use "
+    "rbjax.wheeled",
     FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
     "sensors of the kind user": "rbjax.sensors.CustomSensor measures a function",
 }
@@ -135,11 +136,9 @@ def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, n
     active = m.eq_active0.astype(bool)
     if not constraints:
         return {"equality constraints": active}
-    tendons = m.eq_type == int(mujoco.mjtEq.mjEQ_TENDON)
     loaded = np.array([is_loaded(m, i) for i in range(m.neq)], bool)
     return {
-        "equality constraints of tendons": active & tendons,
-        "equality constraints of flexes": active & ~loaded & ~tendons,
+        "equality constraints of flexes": active & ~loaded,
         "equality constraints that are not active": ~active,
     }
 

@@ -111,7 +111,7 @@ def write_pairs(draft: Draft, compiled: mujoco.MjModel) -> None:
         given = {key: getattr(geoms, f"pair_{key}")[k] for key in PAIR_LEAVES}
         attributes = _unusual(given | {"condim": geoms.pair_condim[k]}, PAIR_LEAVES | {"condim": 3})
         one, other = (known[i] for i in pair)
-        ET.SubElement(section, "pair", geom1=one, geom2=other, **attributes)
+        ET.SubElement(section, "pair", {"geom1": one, "geom2": other} | attributes)
     wanted = [[known[i] for i in pair] for pair in geoms.pairs if set(pair) <= set(known)]
     kept = {frozenset(pair) for pair in wanted}
     if found and not kept:

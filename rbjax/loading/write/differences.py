@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from rbjax.constraints import Constraint, JointPolynomial, Pair
+from rbjax.constraints import Constraint, JointPolynomial, Pair, TendonPolynomial
 from rbjax.forces import Element
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
@@ -205,6 +205,9 @@ def _ends(model: Model, one: Constraint) -> list:
     if isinstance(one, JointPolynomial):
         driver = -1 if one.driver is None else model.joint(one.driver)
         return [model.joint(one.joint), driver, one.coefficients]
+    if isinstance(one, TendonPolynomial):
+        driver = -1 if one.driver is None else model.tendon(one.driver)
+        return [model.tendon(one.tendon), driver, one.coefficients]
     raise TypeError(f"{type(one).__name__} is not written")
 
 

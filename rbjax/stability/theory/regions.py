@@ -140,8 +140,10 @@ def at_infinity(method: Method) -> float:
 
 
 def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
-    """Return the largest |zeta| (len(y), len(x)) on a grid of z = x + i y. The method is stable at
-    z if the value is at most one."""
+    """Return the modulus of the largest growth factor on a grid of z = h lambda = x + i y.
+
+    The array is (len(y), len(x)). The method is stable at z if the value is at most one.
+    """
     _check(method)
     x = real_array("stability_region", "x", x, ndim=1)
     y = real_array("stability_region", "y", y, ndim=1)

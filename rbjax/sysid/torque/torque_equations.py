@@ -89,8 +89,8 @@ class Equations:
     def fit(self, noise: Any) -> Fitted:
         """Solve the least-squares problem of rows divided by their noise.
 
-        Normal equations in the coordinates R beta are used, or QR if the weights differ by too many
-        decades.
+        The unknowns are R beta, with the factor R of a QR decomposition. They are solved by normal
+        equations, or by QR if the weights differ by too many decades.
         """
         Q, R = self.factors
         sd = np.broadcast_to(noise, self.tau.shape).reshape(-1, 1)

@@ -25,7 +25,7 @@ from rbjax.constraints.rows.geometry import Y, Z
 from rbjax.constraints.rows.rolling import slip, swept
 from rbjax.errors import UnknownName
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.place import check_places, end
+from rbjax.forces.place import as_place, check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
@@ -63,8 +63,8 @@ class WheelContact(Constraint):
         1
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     radius: jax.Array = eqx.field(converter=floats)
     roller: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
     ways: tuple[str, ...] = eqx.field(static=True, default=("ahead", "left"))

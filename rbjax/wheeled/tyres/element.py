@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -33,7 +34,7 @@ from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
-from rbjax.forces.place import Place, check_places, end
+from rbjax.forces.place import Place, as_place, check_places
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.wheeled.fields import check_ranges, number
@@ -104,8 +105,8 @@ class TyreOnGround(Element):
         [-79.6, 0.0, 99.5]
     """
 
-    a: Place = end()
-    b: Place = end()
+    a: Place = eqx.field(converter=as_place)
+    b: Place = eqx.field(converter=as_place)
     tyre: Tyre | Relaxing
     radius: jax.Array = number()
     stiffness: jax.Array = number()

@@ -110,7 +110,10 @@ def dual_step_to_boundary(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
 
 
 def moved_duals(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
-    """Return z + a dz at the new v, clipped to a range about mu / distance."""
+    """Return the multipliers z + a dz, clipped to a range about mu / (distance of v to its bound).
+
+    x: the variable after the step of length a.
+    """
     near = first_duals(x, mu)
     moved = (y + a * d for y, d in zip(z, dz, strict=True))
     return Duals(*(jnp.clip(y, n / FAR, n * FAR) for y, n in zip(moved, near, strict=True)))

@@ -1,0 +1,214 @@
+"""Modes of rigid contacts between events: open, sliding or sticking, and the changes of mode.
+
+    M a + b = tau + J^T f,   J a + J' v = 0 in the rows that are kept,   |f_t| = mu f_n if sliding
+A kept contact has its normal row, and its tangential rows if it sticks. Four guards per contact
+become zero at an event: the distance of an open contact, the normal force of a kept one, its slip
+if it slides, and mu f_n - |f_t| if it sticks.
+
+Source: Pfeiffer & Glocker, *Multibody Dynamics with Unilateral Contacts*, 1996, ch. 5-8.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.contact.impulse import impact, impact_problem
+from rbjax.contact.point_velocity import (
+    ContactPoints,
+    contact_jacobian,
+    contact_points,
+    inverse_inertia,
+    relative_velocity,
+)
+from rbjax.dynamics.algorithms.manifold import retract
+from rbjax.forces.inputs import Inputs, evaluated
+from rbjax.lanes.arrays import matvec
+from rbjax.model import Model, State
+from rbjax.motion.field import Field
+from rbjax.motion.term import configuration_rate, unit_quaternions
+
+#: a force that counts as zero, N
+TINY = 1e-12
+
+
+class Mode(NamedTuple):
+    """The mode of the n contacts: kept, sliding, and the direction of slip (n, 2)."""
+
+    kept: jax.Array
+    slides: jax.Array
+    direction: jax.Array
+
+
+class ContactForces(NamedTuple):
+    """The contacts at a state: candidates, relative velocities u (n, 3), forces f (n, 3)."""
+
+    points: ContactPoints
+    u: jax.Array
+    f: jax.Array
+
+
+class ContactSystem(eqx.Module):
+    """The vector field and the guard of a phase; its args are the `Mode`."""
+
+    model: Model
+    inputs: Inputs
+    dynamics: Any
+    friction: jax.Array
+    start: jax.Array
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
+
+    def field(self, t: Any, y: State, mode: Mode) -> State:
+        a, x, _ = self.motion(t, y, mode)
+        return State(configuration_rate(self.model.topology, y.q, y.v), a, x)
+
+    def unit(self, y: State) -> State:
+        """Return the state with unit quaternions."""
+        return State(unit_quaternions(self.model.topology, y.q), y.v, y.x)
+
+    def motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
+        """Return v', x' and the contacts."""
+        at, t = self.unit(y), self.start + t
+        inputs = evaluated("simulate_impacts", self.model, self.inputs, t, at)
+        a, x = Field(self.model, self.dynamics).rates(t, at, inputs)
+        points = contact_points(self.model, at.q, self.pairs)
+        J = contact_jacobian(self.model, at.q, points, self.pairs)
+        W = inverse_inertia(self.model, at.q, t)
+        problem, Y = impact_problem(J, W, at.v, mode.kept, self.friction)
+        bias = jax.jvp(
+            lambda s: self.slip(retract(self.model, at.q, s * at.v), at.v),
+            (jnp.zeros((), at.q.dtype),), (jnp.ones((), at.q.dtype),),
+        )[1]  # fmt: skip
+        free = matvec(J, a) + bias
+        f = kept_forces(problem.D, free, problem.u, self.friction, mode)
+        return a + matvec(Y, f.reshape(-1)), x, ContactForces(points, problem.u, f)
+
+    def slip(self, q: jax.Array, v: jax.Array) -> jax.Array:
+        points = contact_points(self.model, q, self.pairs)
+        return relative_velocity(self.model, q, v, points, self.pairs)
+
+    def guards(self, t: Any, y: State, mode: Mode) -> jax.Array:
+        """Return the guards (4, n): distance of open contacts, normal force, slip, and the reserve
+        of friction of kept ones. Each is infinite for other contacts."""
+        return self.guards_of(self.motion(t, y, mode)[2], mode)
+
+    def guards_of(self, found: ContactForces, mode: Mode) -> jax.Array:
+        """Return the guards (4, n) of contacts."""
+        mu, far = self.friction, jnp.inf
+        rubs = mode.kept & (mu > 0) & jnp.isfinite(mu)
+        tangent = jnp.sqrt((found.f[:, 1:] ** 2).sum(-1) + TINY**2)
+        reserve = jnp.where(jnp.isfinite(mu), mu, 0) * found.f[:, 0] - tangent
+        return jnp.stack([
+            jnp.where(~mode.kept & found.points.exists, found.points.distance, far),
+            jnp.where(mode.kept, found.f[:, 0], far),
+            jnp.where(rubs & mode.slides, (found.u[:, 1:] * mode.direction).sum(-1), far),
+            jnp.where(rubs & ~mode.slides, reserve, far),
+        ])  # fmt: skip
+
+    def guard(self, t: Any, y: State, mode: Mode) -> jax.Array:
+        guards = self.guards(t, y, mode)
+        return jnp.minimum(guards.reshape(-1)[jnp.argmin(guards)], 1e6)
+
+
+def kept_forces(
+    D: jax.Array, free: jax.Array, u: jax.Array, mu: jax.Array, mode: Mode
+) -> jax.Array:
+    """Return the forces (n, 3) that keep the relative acceleration of kept rows at zero.
+
+    Rows that are not kept have no force; the friction of a sliding contact is -mu f_n times the
+    direction of slip. The matrix is regularised, with two refinements, for contacts that are
+    redundant and for points that cannot move in some direction.
+    """
+    n = len(mu)
+    sticks = mode.kept & ~mode.slides & (mu > 0)
+    rows = jnp.stack([mode.kept, sticks, sticks], -1).reshape(-1)
+    speed = jnp.sqrt((u[:, 1:] ** 2).sum(-1) + TINY**2)
+    along = (u[:, 1:] * mode.direction).sum(-1) > 0.5 * speed
+    direction = jnp.where(along[:, None], u[:, 1:] / speed[:, None], mode.direction)
+    # forces f = B x of the unknowns x: the kept rows, and friction by normal forces
+    rub = jnp.where(mode.kept & mode.slides & jnp.isfinite(mu), mu, 0)
+    one, normal = jnp.eye(n, dtype=free.dtype), jnp.array([1, 0, 0], free.dtype)
+    column = jnp.concatenate([jnp.zeros((n, 1), free.dtype), -rub[:, None] * direction], -1)
+    B = column[:, :, None, None] * one[:, None, :, None] * normal
+    B = B.reshape(3 * n, 3 * n)
+    B = jnp.where(rows[None], B + jnp.eye(3 * n, dtype=free.dtype), 0)
+    A = (D.reshape(3 * n, 3 * n)[:, :, None] * B[None]).sum(1)
+    A = jnp.where(rows[:, None], A, jnp.eye(3 * n, dtype=free.dtype))
+    right = jnp.where(rows, -free.reshape(-1), 0)
+    small = jnp.finfo(free.dtype).eps ** (2 / 3) * jnp.abs(jax.lax.stop_gradient(A)).max()
+    factors = jax.scipy.linalg.lu_factor(A + small * jnp.eye(3 * n, dtype=free.dtype))
+    x = jax.scipy.linalg.lu_solve(factors, right)
+    for _ in range(2):
+        x = x + jax.scipy.linalg.lu_solve(factors, right - matvec(A, x))
+    return matvec(B, x).reshape(n, 3)
+
+
+def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
+    """Return the mode at the start, and whether a contact touches and opens there."""
+    at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
+    points = contact_points(system.model, at.q, system.pairs)
+    u = jax.lax.stop_gradient(system.slip(at.q, at.v))
+    near, still = _small(at.q.dtype)
+    touches = points.exists & (jnp.abs(points.distance) <= near)
+    still = still * (1 + jnp.abs(u).max(initial=0.0))
+    kept = touches & (jnp.abs(u[:, 0]) <= still)
+    moves, towards = _slip_direction(u, still)
+    mode = Mode(kept, kept & moves & jnp.isfinite(mu), towards)
+    return jax.lax.stop_gradient(mode), (touches & (u[:, 0] > still)).any()
+
+
+def _small(dtype: Any) -> tuple[float, float]:
+    """Return a distance in m and a relative speed that count as zero."""
+    return (1e-9, 1e-9) if dtype == jnp.float64 else (1e-5, 1e-5)
+
+
+def _slip_direction(u: jax.Array, still: Any) -> tuple[jax.Array, jax.Array]:
+    """Return whether contacts slip (n,), and the unit direction of slip (n, 2)."""
+    length = jnp.sqrt((u[:, 1:] ** 2).sum(-1))
+    moves = length > still
+    return moves, u[:, 1:] / jnp.where(moves, length, 1)[:, None]
+
+
+def transition(
+    system: ContactSystem, t: Any, y: State, mode: Mode, e: jax.Array, rest: jax.Array, law: str
+) -> tuple:
+    """Return the state and the mode after an event, the contacts that closed, the residual of the
+    impact and whether it succeeded."""
+    at, mu = system.unit(y), system.friction
+    found = jax.lax.stop_gradient(system.motion(t, y, mode)[2])
+    guards = jax.lax.stop_gradient(system.guards_of(found, mode))
+    points = contact_points(system.model, at.q, system.pairs)
+    near, still = _small(at.q.dtype)
+    force = jnp.abs(found.f).max(initial=0.0) + jnp.finfo(at.q.dtype).tiny
+    speed = jnp.abs(found.u).max(initial=0.0)
+    first = jnp.arange(guards.size).reshape(guards.shape) == jnp.argmin(guards)
+
+    touches = ~mode.kept & points.exists & ((points.distance <= near) | first[0])
+    closed = touches & (found.u[:, 0] < 0)
+    active = closed | mode.kept | (touches & closed.any())
+    bounces = e * (found.u[:, 0] < -rest)
+    v, _, residual, fine = impact(
+        system.model, at.q, at.v, bounces, mu, points, active, system.pairs, law, system.start + t
+    )
+    hit = closed.any()
+    after = State(y.q, jnp.where(hit, v, y.v), y.x)
+    u = jax.lax.stop_gradient(system.slip(at.q, after.v))
+    rests = jnp.abs(u[:, 0]) <= still * (1 + speed)
+    kept = jnp.where(hit, active & (bounces == 0) & rests, mode.kept)
+
+    opens = mode.kept & ~hit & ((guards[1] <= near * force) | first[1])
+    stops = mode.kept & ~hit & ((guards[2] <= near * (1 + speed)) | first[2])
+    slips = mode.kept & ~hit & ((guards[3] <= near * force) | first[3])
+    moves, towards = _slip_direction(u, still * (1 + speed))
+    tangent = found.f[:, 1:]
+    size = jnp.sqrt((tangent**2).sum(-1))
+    against = -tangent / jnp.where(size > 0, size, 1)[:, None]
+    changed = hit | stops
+    slides = jnp.where(changed, moves & jnp.isfinite(mu), mode.slides) | slips
+    direction = jnp.where((changed & moves)[:, None], towards, mode.direction)
+    direction = jnp.where(slips[:, None], against, direction)
+    kept = kept & ~opens
+    return after, Mode(kept, slides & kept, direction), closed, residual, fine | ~hit
