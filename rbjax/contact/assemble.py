@@ -71,8 +71,8 @@ class Assembly:
         self.d = Unrolled(model, prepare(model, q.dtype))
         self.joints = self.d.joints(q, v)
         poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
-        self._origin = poses[min(self.top.last_links.values())].p
-        self._poses = [Transform(x.R, x.p - self._origin) for x in poses]
+        self.origin = poses[min(self.top.last_links.values())].p
+        self._poses = [Transform(x.R, x.p - self.origin) for x in poses]
         self.touching = Touching.of(model)
 
     def problem(self, tau: jax.Array, f_ext: LinkForces | None) -> Problem:
@@ -101,8 +101,8 @@ class Assembly:
         links = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            links_of = zip(self.joints, self.d.constants, strict=True)
-            X = [joint.transform(link) for joint, link in links_of]
+            parts = zip(self.joints, self.d.constants, strict=True)
+            X = [joint.transform(link) for joint, link in parts]
             return ArticulatedTree(self.d, self.joints, X, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
@@ -118,7 +118,7 @@ class Assembly:
             if own.bodies[g] != WORLD:
                 placed = self.d.prepared.weld(own.bodies[g]).then(placed)
             if link == WORLD:
-                placed = Transform(placed.R, placed.p - self._origin)
+                placed = Transform(placed.R, placed.p - self.origin)
             else:
                 placed = self._poses[link].then(placed)
             rows.append([*placed.R, *placed.p, *_row(own.size, g)])

@@ -36,12 +36,14 @@ class Row(NamedTuple):
         axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
+        contact: the contact about the origin, if the row is not from a slot.
     """
 
     pair: Any
     axes: list[Motion]
     D: Lane
     reference: list[Lane]
+    contact: Contact | None = None
 
     def along(self, y: Motion) -> list[Lane]:
         """Compute b_k . y for each row."""
@@ -166,7 +168,7 @@ class ContactSet:
     def _row(self, world: World, contact: Contact, pair: Any, margin: Lane, active: Any) -> Row:
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
         axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [])
+        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [], contact)
         v = row.along(self.relative(row, world.twists))
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)

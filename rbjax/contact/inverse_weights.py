@@ -54,15 +54,14 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     if not model.nv:
         return np.zeros((model.nb, 2)), np.zeros(0)
     if constant and not isinstance(model.bodies.com, jax.core.Tracer):
-        body, dof = np.zeros((model.nb, 2)), np.array(diagonal)
-        moving = _moving(model)
-        body[moving] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
-        return _with_slides(model, body, _averaged(model, dof))
+        found = np.zeros((model.nb, 2))
+        found[_moving(model)] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
+        return _with_slides(model, found, _averaged(model, np.array(diagonal)))
     like = jnp.zeros((), dtype)
     dof = _averaged(model, d.pack(diagonal, jnp.zeros(model.nv, dtype)))
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
-    every = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
-    return _with_slides(model, every, dof)
+    body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
+    return _with_slides(model, body, dof)
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

@@ -71,7 +71,8 @@ def pair_parameters(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> PairParam
     own = [x.pop(0) if x else None for x in found]
     mixed = _mixed(geoms, pairs)
     explicit = _explicit(geoms)
-    columns = [_joined(a, b, own) for a, b in zip(mixed[:-1], explicit[:-1], strict=True)]
+    both = zip(mixed[:-1], explicit[:-1], strict=True)
+    columns: list[Any] = [_joined(a, b, own) for a, b in both]
     dtype = geoms.size.dtype
     columns = [x.astype(dtype) if isinstance(x, jax.core.Tracer) else x for x in columns]
     condim = [a if k is None else geoms.pair_condim[k] for a, k in zip(mixed[-1], own, strict=True)]

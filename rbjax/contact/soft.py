@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.assemble import Assembly
+from rbjax.contact.contact_forces import ContactForces, contact_forces
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.problem import Problem
 from rbjax.dynamics.algorithms.rnea import LinkForces
@@ -93,6 +94,13 @@ class SoftContact:
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
         return contact_acceleration(model, state.q, state.v, tau, f_ext, self.iterations)
+
+    def contact_forces(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> ContactForces:
+        """Compute the forces of all candidate contacts."""
+        a = self(model, t, state, tau, f_ext)
+        return contact_forces(model, state.q, state.v, tau, f_ext, a)
 
     def check(self, where: str, model: Model) -> None:
         """Raise InputError if the law has no parameters for a model."""

@@ -165,3 +165,22 @@ def test_bad_laws_are_named() -> None:
         rb.step(model, state, contact="mujoco", dynamics=lambda model, t, state, tau, f_ext: tau)
     with pytest.raises(rb.InputError, match="needs the contact parameters of a file"):
         rb.step(model.replace(solver=None), state, contact="mujoco")
+
+
+def test_touch_and_force_sensors_read_the_law() -> None:
+    """Sensors of a box that slides equal MuJoCo's."""
+    text = BOX.replace("{condim}", "3").replace(
+        "</body>", '<site name="pad" type="box" size=".3 .3 .3"/></body>'
+    )
+    world = OPTION.format(cone="elliptic", impratio=1) + f"<worldbody>{FLOOR}{text}</worldbody>"
+    sensor = '<sensor><touch site="pad"/><accelerometer site="pad"/></sensor>'
+    m = mujoco.MjModel.from_xml_string(f"<mujoco>{world}{sensor}</mujoco>")
+    m.opt.ls_tolerance, m.opt.iterations = 1e-10, 300
+    d = mujoco.MjData(m)
+    for _ in range(250):
+        mujoco.mj_step(m, d)
+    mujoco.mj_forward(m, d)
+    model = rb.load(m, contacts=True)
+    state = State(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
+    assert d.sensordata[0] > 1.0
+    assert relative_error(rb.sense(model, state), d.sensordata) < F64_PARITY

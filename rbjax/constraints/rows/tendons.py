@@ -24,7 +24,7 @@ from rbjax.forces.tendons.paths import Segment, segments
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
 from rbjax.lanes import Vec3
 from rbjax.model import Frame
-from rbjax.model.leaves import numbers, scalar, table
+from rbjax.model.leaves import numbers, table
 from rbjax.model.links import lane
 from rbjax.model.record import check_fields, floats
 
@@ -74,7 +74,7 @@ class TendonPolynomial(Constraint):
 
 def _from_reference(context: Context, tendon: str | int) -> Row:
     own: Any = context.model.tendons
-    reference = scalar(own.length0[context.model.tendon(tendon)], context.q.dtype)
+    reference = lane(table(own.length0, context.q.dtype), context.model.tendon(tendon))
     return tendon_row(context, tendon) - reference
 
 

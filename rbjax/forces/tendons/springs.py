@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
@@ -89,8 +90,11 @@ def _point_spring(model: Model, i: int) -> PointSpring | None:
     own: Any = model.tendons
     if [x.kind for x in own.paths[i]] != ["site", "site"]:
         return None
-    a, b = (Place.on(site=x.index) for x in own.paths[i])
-    return PointSpring(a, b, own.stiffness[i], own.damping[i], own.springlength[i])
+    origin: Any = np.zeros(3)  # NumPy arrays are constants while tracing
+    aligned: Any = np.array([1.0, 0.0, 0.0, 0.0])
+    a, b = (Place(origin, aligned, site=x.index) for x in own.paths[i])
+    columns: Any = (own.stiffness, own.damping, own.springlength)
+    return PointSpring(a, b, *(table(x, x.dtype)[i] for x in columns))
 
 
 def _energy(context: Context, i: int, k: list[Lane]) -> Lane:

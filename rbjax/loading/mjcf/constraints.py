@@ -96,8 +96,8 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
-    solref, solimp = leaf(safe_solref(m, m.eq_solref[i])), leaf(m.eq_solimp[i])
-    weight = leaf(_weights(m, i, one.size))
+    given = safe_solref(m, m.eq_solref[i])
+    solref, solimp, weight = map(leaf, (given, m.eq_solimp[i], _weights(m, i, one.size)))
     return Soft(one, solref, solimp, weight, bias=type(one) not in _COUPLINGS.values())
 
 

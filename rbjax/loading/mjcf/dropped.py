@@ -29,8 +29,9 @@ _CURES = {
     "joint friction loss": "load(friction=True) loads it",
     "equality constraints (": "load(constraints=True) loads them",
     "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
-    "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
-    "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
+    "contacts": "load(contacts=True) takes them; for wheels on the ground use rbjax.wheeled",
+    "collision shapes": "load(contacts=True) takes them; for wheels on the ground use "
+    "rbjax.wheeled",
     FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
     "sensors of the kind user": "rbjax.sensors.CustomSensor measures a function",
 }

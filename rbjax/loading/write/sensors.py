@@ -104,7 +104,9 @@ def _volume(draft: Draft, sensor: Any) -> dict[str, str] | None:
 
 
 def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
-    draft.note("geoms that rangefinders see, which are not in the file")
+    geoms = draft.model.geoms
+    if geoms is None or len(draft.geoms) < len(geoms.names):
+        draft.note("geoms that rangefinders see, which are not in the file")
     return _at_site(draft, sensor) | {"data": " ".join(sensor.data)}
 
 
