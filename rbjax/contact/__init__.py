@@ -9,8 +9,8 @@
 """
 
 from rbjax.contact.compliant import CompliantContact
-from rbjax.contact.detection import Contacts, detect, pairs
-from rbjax.contact.impulse import Impulse, impulse
+from rbjax.contact.geometry.detection import Contacts, detect, pairs
+from rbjax.contact.impulses import Impulse, impulse
 from rbjax.contact.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact

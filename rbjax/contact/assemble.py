@@ -11,6 +11,7 @@ import numpy as np
 
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
+from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
@@ -130,7 +131,9 @@ class Assembly:
             poses = stacked([*lanes, [*Mat3.identity(), 0.0, 0.0, 0.0]], dtype)
         else:
             twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in moving]
-        return World(stacked(rows, dtype), stacked([*twists, [0.0] * 6], dtype), poses)
+        moved = stacked([*twists, [0.0] * 6], dtype)
+        heights = self.model.geoms.heights  # type: ignore[union-attr]
+        return World(stacked(rows, dtype), moved, poses, heights)
 
     @cached_property
     def _weights(self) -> tuple[Any, Any]:
@@ -157,10 +160,10 @@ class Assembly:
         )  # fmt: skip
         sets = []
         for dim in sorted(set(given.condim)):
-            kinds: dict[tuple[str, str], list[int]] = {}
-            for n, (a, b) in enumerate(pairs):
+            kinds: dict[PairKind, list[int]] = {}
+            for n, pair in enumerate(pairs):
                 if given.condim[n] == dim:
-                    kinds.setdefault((geoms.types[a], geoms.types[b]), []).append(n)
+                    kinds.setdefault(PairKind.of(geoms, pair), []).append(n)
             sets.append(ContactSet(dim, kinds, *tables))
         return sets
 

@@ -25,10 +25,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import floating_array
-from rbjax.contact.candidates import PairKind, pair_contacts
-from rbjax.contact.impulse import check_pairs
+from rbjax.contact.geometry.candidates import PairKind, pair_contacts
+from rbjax.contact.geometry.shapes import Contact
+from rbjax.contact.impulses import check_pairs
 from rbjax.contact.point_velocity import file_friction, geom_shape
-from rbjax.contact.shapes import Contact
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame

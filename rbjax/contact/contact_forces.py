@@ -10,9 +10,9 @@ import jax.numpy as jnp
 
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_rows import ContactSet
-from rbjax.contact.narrow_phase import COUNTS
+from rbjax.contact.geometry.narrow_phase import COUNTS
+from rbjax.contact.geometry.shapes import contact_frame
 from rbjax.contact.problem import residual
-from rbjax.contact.shapes import contact_frame
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.lanes import Vec3
 from rbjax.model import Model
@@ -88,7 +88,7 @@ def contact_forces(
         found.append((exists, rows[:, 0], rows[:, 1:4], rows[:, 4:13].reshape(n, 3, 3), forces))
         pairs = model.geoms.pairs  # type: ignore[union-attr]
         geoms += [pairs[k] for kind, at in contacts.kinds.items() for k in at
-                  for _ in range(COUNTS[kind])]  # fmt: skip
+                  for _ in range(COUNTS[kind.kinds])]  # fmt: skip
     if not found:
         none = jnp.zeros((0, 3), problem.dtype)
         frame, force = jnp.zeros((0, 3, 3), problem.dtype), jnp.zeros((0, 6), problem.dtype)

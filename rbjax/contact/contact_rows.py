@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.contact.cones import Cone
-from rbjax.contact.narrow_phase import COUNTS, PAIRS
-from rbjax.contact.shapes import Contact, Shape, contact_frame
+from rbjax.contact.geometry.candidates import PairKind, pair_contacts
+from rbjax.contact.geometry.narrow_phase import COUNTS
+from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -89,11 +90,13 @@ class World(NamedTuple):
         twists: (n, 6) twist of each link; the last one is the world.
         poses: (n, 12) rotation and position of each link, if rows are in the axes of the link that
             touches the world.
+        heights: of the height fields, as `Geoms.heights`.
     """
 
     geoms: jax.Array
     twists: jax.Array
     poses: jax.Array | None = None
+    heights: tuple[jax.Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ class ContactSet:
 
     Fields:
         dim: the number of rows of a contact, 1, 3, 4 or 6.
-        kinds: the two kinds of geoms -> indices of their pairs.
+        kinds: the kind of a pair -> indices of its pairs.
         geoms, links: index of both geoms and both links of each pair (n, 2) in `World`.
         link_pairs: index of the pair of links of each pair of geoms (n,).
         parameters: `PairParameters` of all pairs.
@@ -111,7 +114,7 @@ class ContactSet:
     """
 
     dim: int
-    kinds: dict[tuple[str, str], list[int]]
+    kinds: dict[PairKind, list[int]]
     geoms: np.ndarray
     links: np.ndarray
     link_pairs: np.ndarray
@@ -123,7 +126,7 @@ class ContactSet:
     @property
     def candidates(self) -> int:
         """The number of candidate contacts."""
-        return sum(COUNTS[kind] * len(pairs) for kind, pairs in self.kinds.items())
+        return sum(COUNTS[kind.kinds] * len(pairs) for kind, pairs in self.kinds.items())
 
     def cone(self, row: Row) -> Cone:
         """Return the friction cone of a contact."""
@@ -154,7 +157,7 @@ class ContactSet:
                 one, other = (_shape(world.geoms[_entry(self.geoms[:, k], pair)]) for k in (0, 1))
                 margin = self._lane(self.parameters.margin, pair)
                 reach = margin + self._lane(self.parameters.gap, pair)
-                for contact in PAIRS[kind](one, other, reach):
+                for contact in pair_contacts(kind, one, other, reach, world.heights):
                     active = contact.exists & (contact.distance < margin)
                     carry = step(carry, self._row(world, contact, pair, margin, active), active)
                 return carry, None

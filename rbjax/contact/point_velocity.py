@@ -24,9 +24,9 @@ from rbjax.arguments import floating_array
 from rbjax.constraints import Soft
 from rbjax.constraints import jacobian as constraint_jacobian
 from rbjax.constraints.equations.constrained_motion import solve_least_norm
-from rbjax.contact.candidates import PairKind, candidates
-from rbjax.contact.detection import _columns, _geoms
-from rbjax.contact.shapes import Shape
+from rbjax.contact.geometry.candidates import PairKind, candidates
+from rbjax.contact.geometry.detection import _columns, _geoms
+from rbjax.contact.geometry.shapes import Shape
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.context import Context

@@ -2,37 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+from rbjax.contact.moreau import MoreauContact
 from rbjax.contact.soft import SoftContact
 from rbjax.errors import InputError
 from rbjax.model import Model
 
-_LAWS: dict[str, Any] = {"mujoco": SoftContact()}
+#: name -> constructor of the dynamics of a model
+_LAWS: dict[str, Callable[[Model], Any]] = {
+    "mujoco": lambda model: SoftContact(),
+    "impulse": MoreauContact.of,
+}
 
 
-def laws() -> dict[str, Any]:
+def laws() -> dict[str, Callable[[Model], Any]]:
     """Return the contact laws by name: the values of `contact=` in `step` and `rollout`.
+
+    Each law is a constructor of a dynamics from a model. `rb.contact.CompliantContact` is a force
+    element instead, and needs no law.
 
     Example:
         >>> import rbjax as rb
-        >>> "mujoco" in rb.contact.laws()
-        True
+        >>> list(rb.contact.laws())
+        ['mujoco', 'impulse']
     """
     return dict(_LAWS)
 
 
 def law_of(where: str, model: Model, contact: Any) -> Any:
-    """Return the contact law of a name, or a given `SoftContact`.
+    """Return the contact law of a name, or a given law.
 
     Raises:
         InputError: no such law, or the law does not suit the model.
     """
-    law: Any = _LAWS.get(contact) if isinstance(contact, str) else contact
-    if not hasattr(law, "check"):
+    known: Callable[[Model], Any] | None = None
+    if isinstance(contact, str):
+        known = _LAWS.get(contact)
+    elif isinstance(contact, SoftContact | MoreauContact):
+        known = lambda model: contact  # noqa: E731
+    if known is None:
         raise InputError(
-            f"{where}: contact is {contact!r}, expected one of {list(_LAWS)}, "
-            "or rb.contact.SoftContact(iterations=...)"
+            f"{where}: contact is {contact!r}, expected one of {list(_LAWS)}, or a law with "
+            "arguments, such as rb.contact.SoftContact(iterations=...)"
         )
-    law.check(where, model)
+    law = known(model)
+    if isinstance(law, SoftContact):
+        law.check(where, model)
     return law

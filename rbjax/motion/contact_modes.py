@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.impulse import impact, impact_problem
+from rbjax.contact.impulses import impact, impact_problem
 from rbjax.contact.point_velocity import (
     ContactPoints,
     contact_jacobian,

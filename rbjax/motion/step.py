@@ -71,18 +71,20 @@ def acceleration(
         >>> rb.acceleration(model, model.default_state(), jnp.ones(1)).shape
         (2,)
     """
-    dynamics = with_contact("acceleration", model, dynamics, contact)
     given = inputs_at("acceleration", model, Inputs(ctrl, tau, wrenches), t, state)
-    return _acceleration(model, state, *given, t=t, dynamics=dynamics, constraints=constraints)
+    return _acceleration(
+        model, state, *given, t=t, dynamics=dynamics, constraints=constraints, contact=contact
+    )
 
 
 @algorithm("state", "ctrl", "tau", "wrenches", "t", where="acceleration")
 def _acceleration(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
-    *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None,
+    *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None, contact: Any = None,
 ) -> jax.Array:  # fmt: skip
     if not model.nv:
         return jnp.zeros(0, state.q.dtype)
+    dynamics = with_contact("acceleration", model, dynamics, contact)
     dynamics = dynamics_of("acceleration", model, dynamics, constraints)
     a, _ = Field(model, dynamics).rates(t, state, Inputs(ctrl, tau, wrenches))
     return jnp.stack(fusion_barrier(list(a)))
@@ -137,11 +139,10 @@ def step(
         >>> rb.step(model, model.default_state(), dt=0.01).q.shape
         (2,)
     """
-    dynamics = with_contact("step", model, dynamics, contact)
     given = inputs_at("step", model, Inputs(ctrl, tau, wrenches), t, state)
     return _step(
         model, state, given.ctrl, dt, given.tau, given.wrenches, t=t, integrator=integrator,
-        dynamics=dynamics, constraints=constraints,
+        dynamics=dynamics, constraints=constraints, contact=contact,
     )  # fmt: skip
 
 
@@ -149,9 +150,10 @@ def step(
 def _step(
     model: Model, state: State, ctrl: Any = None, dt: Any = None, tau: Any = None,
     wrenches: Any = None, *, t: Any = 0.0, integrator: Any = None, dynamics: Any = free_motion,
-    constraints: Any = None,
+    constraints: Any = None, contact: Any = None,
 ) -> State:  # fmt: skip
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
+    dynamics = with_contact("step", model, dynamics, contact)
     dynamics = dynamics_of("step", model, dynamics, constraints, steps=True)
     integrator = integrator_of("step", integrator, dynamics)
     state, inputs = with_memory(model, state, dynamics), Inputs(ctrl, tau, wrenches)

@@ -57,10 +57,10 @@ from rbjax.sensors.joints import (
     Torques,
     Velocities,
 )
+from rbjax.sensors.model_sensors import sense
 from rbjax.sensors.named import ModelSensor, NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
 from rbjax.sensors.rangefinder import Rangefinder
-from rbjax.sensors.sense import sense
 from rbjax.sensors.solution import Solution
 from rbjax.sensors.volumes import InsideSite, Touch, Volume
 

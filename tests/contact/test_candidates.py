@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.candidates import PairKind, candidates, cheap_distance, pair_contacts
-from rbjax.contact.narrow_phase import COUNTS, KINDS
+from rbjax.contact.geometry.candidates import PairKind, candidates, cheap_distance, pair_contacts
+from rbjax.contact.geometry.narrow_phase import COUNTS, KINDS
 from tests.contact.test_narrow_phase import PRIMITIVES, as_shape, poses, scene
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.height_field import field_box, field_capsule, field_sphere
-from rbjax.contact.shapes import Shape
+from rbjax.contact.geometry.height_field import field_box, field_capsule, field_sphere
+from rbjax.contact.geometry.shapes import Shape
 from rbjax.lanes import Mat3, Vec3
 
 ROWS, COLUMNS, HALF = 6, 9, (0.8, 0.5)

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from rbjax.contact.narrow_phase import COUNTS, PAIRS
-from rbjax.contact.shapes import Contact, Shape, contact_frame
+from rbjax.contact.geometry.narrow_phase import COUNTS, PAIRS
+from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.lanes import Mat3, Vec3
 
 MARGIN = 0.05

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.contact.narrow_phase import PAIRS
+from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.lanes import quaternion_matrix
 from tests.contact.test_narrow_phase import SIZES, arrays
 

@@ -184,3 +184,16 @@ def test_touch_and_force_sensors_read_the_law() -> None:
     state = State(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
     assert d.sensordata[0] > 1.0
     assert relative_error(rb.sense(model, state), d.sensordata) < F64_PARITY
+
+
+def test_laws_are_chosen_by_name() -> None:
+    m = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom type='plane' size='0 0 1'/><body pos='0 0 .1'><freejoint/>"
+        "<geom type='sphere' size='.1'/></body></worldbody></mujoco>"
+    )
+    model = rb.load(m, contacts=True)
+    state = model.default_state().replace(v=jnp.zeros(6).at[2].set(-1.0))
+    for law in rb.contact.laws():
+        path = rb.rollout(model, state, steps=100, dt=0.002, contact=law)
+        assert bool(path.ok) and abs(float(path.q[-1, 2]) - 0.1) < 0.01
+    assert rb.step(model, state, contact="impulse").q[2] > 0.0999

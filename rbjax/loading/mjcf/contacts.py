@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from rbjax.contact.narrow_phase import PAIRS
+from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.errors import ModelError, listed
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import names_of
@@ -34,16 +34,14 @@ def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
 def closed_pairs(m: mujoco.MjModel) -> list[int]:
     """Return the positions in `contact_pairs` of the pairs that have a closed form."""
     kinds = kinds_of(m)
-    return [i for i, pair in enumerate(contact_pairs(m)) if _is_closed(kinds, *pair)]
+    return [i for i, pair in enumerate(contact_pairs(m)) if _is_closed(m, kinds, *pair)]
 
 
-def _is_closed(kinds: tuple[str, ...], a: int, b: int) -> bool:
-    """Return whether the contact problem takes a pair: two primitives with a closed form.
-
-    Hulls of meshes and height fields have contacts in `rb.contact.detect` only.
-    """
-    primitive = kinds[a] != "hfield" and kinds[b] != "mesh"
-    return primitive and (kinds[a], kinds[b]) in PAIRS
+def _is_closed(m: mujoco.MjModel, kinds: tuple[str, ...], a: int, b: int) -> bool:
+    """Return whether a pair has a closed form. A mesh needs its hull, with faces."""
+    if kinds[b] == "mesh" and not m.mesh_polynum[m.geom_dataid[b]]:
+        return False
+    return (kinds[a], kinds[b]) in PAIRS
 
 
 def contacts_left_out(m: mujoco.MjModel) -> tuple[str, ...]:
@@ -51,7 +49,7 @@ def contacts_left_out(m: mujoco.MjModel) -> tuple[str, ...]:
     options of contacts."""
     kinds = kinds_of(m)
     missing = Counter(
-        (kinds[a], kinds[b]) for a, b in contact_pairs(m) if not _is_closed(kinds, a, b)
+        (kinds[a], kinds[b]) for a, b in contact_pairs(m) if not _is_closed(m, kinds, a, b)
     )
     out = [f"contact pairs of {a} and {b} ({count})" for (a, b), count in missing.items()]
     names = names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom)

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.contact.narrow_phase import PAIRS
+from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.forces import JointFriction
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.contacts import kinds_of

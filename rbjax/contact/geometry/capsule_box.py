@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from rbjax.contact.shapes import TINY, Contact, Shape
+from rbjax.contact.geometry.shapes import TINY, Contact, Shape
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 

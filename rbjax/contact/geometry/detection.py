@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from rbjax.arguments import real_number, shown
 from rbjax.compiler import threads
 from rbjax.compiling import jitted
-from rbjax.contact.candidates import PairKind, candidates, pair_contacts
-from rbjax.contact.narrow_phase import KINDS, PAIRS
+from rbjax.contact.geometry.candidates import PairKind, candidates, pair_contacts
+from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
+from rbjax.contact.geometry.shapes import Shape, contact_frame
 from rbjax.contact.parameters import pair_parameters
-from rbjax.contact.shapes import Shape, contact_frame
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError, UnsupportedFeature

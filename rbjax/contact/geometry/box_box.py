@@ -11,7 +11,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.shapes import Contact, Shape
+from rbjax.contact.geometry.shapes import Contact, Shape
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import matmat, matvec
 

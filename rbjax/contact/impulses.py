@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
-from rbjax.contact.candidates import candidates
-from rbjax.contact.detection import Contacts, _check_kinds, _pairs_of
 from rbjax.contact.energetic import energetic_impulse
+from rbjax.contact.geometry.candidates import candidates
+from rbjax.contact.geometry.detection import Contacts, _check_kinds, _pairs_of
 from rbjax.contact.impulse_equations import ImpulseProblem, solve_impulses
 from rbjax.contact.point_velocity import (
     ContactPoints,

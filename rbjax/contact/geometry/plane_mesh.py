@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from rbjax.contact.shapes import Contact, Shape
+from rbjax.contact.geometry.shapes import Contact, Shape
 from rbjax.lanes import Lane, Vec3
 
 #: contacts of a plane and a hull, at most

@@ -17,11 +17,11 @@ from itertools import product
 
 import jax.numpy as jnp
 
-from rbjax.contact.box_box import box_box
-from rbjax.contact.capsule_box import capsule_box, sphere_box
-from rbjax.contact.height_field import field_box, field_capsule, field_sphere
-from rbjax.contact.plane_mesh import plane_mesh
-from rbjax.contact.shapes import PARALLEL, TINY, Contact, Shape, times, unit
+from rbjax.contact.geometry.box_box import box_box
+from rbjax.contact.geometry.capsule_box import capsule_box, sphere_box
+from rbjax.contact.geometry.height_field import field_box, field_capsule, field_sphere
+from rbjax.contact.geometry.plane_mesh import plane_mesh
+from rbjax.contact.geometry.shapes import PARALLEL, TINY, Contact, Shape, times, unit
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 

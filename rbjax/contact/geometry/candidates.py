@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rbjax.contact.narrow_phase import COUNTS, PAIRS
-from rbjax.contact.shapes import TINY, Contact, Shape
+from rbjax.contact.geometry.narrow_phase import COUNTS, PAIRS
+from rbjax.contact.geometry.shapes import TINY, Contact, Shape
 from rbjax.lanes import Lane
 from rbjax.model.geoms import Geoms
 from rbjax.model.hulls import Hull

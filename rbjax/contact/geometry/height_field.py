@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.contact.shapes import TINY, Contact, Shape, unit
+from rbjax.contact.geometry.shapes import TINY, Contact, Shape, unit
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 
