@@ -25,7 +25,7 @@ from rbjax.spatial import MassProperties
 
 
 def unbatched(where: str, name: str, value: Any, kind: str) -> jax.Array:
-    """Check an argument of a kind of `rotations.arguments.SHAPES`, without leading axes."""
+    """Return an argument as an array. Check that it has the shape `SHAPES[kind]`, with no batch."""
     x = checked(where, name, value, kind)
     if x.shape != SHAPES[kind]:
         expected = f"{SHAPES[kind]}; for a batch use jax.vmap"

@@ -201,8 +201,11 @@ START, END = -3, -2  # indices that recording frames use instead of a link; WORL
 
 
 class _End(Frame):
-    """A frame that records the wrenches on it, in its own axes and at its origin. It keeps them
-    apart from wrenches on its link, which may be the world or carry both frames."""
+    """A frame that records the wrenches on it, in its own axes and at its origin.
+
+    Wrenches are recorded by frame and not by link, because both frames of a constraint may be on
+    one link, and a frame may be on the world.
+    """
 
     def __init__(self, context: Context, frame: Frame, index: int, *moved: Transform):
         super().__init__(context.links, frame.link, *frame._placed, *moved)

@@ -88,9 +88,10 @@ class Tree(NamedTuple):
         return out
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> LDLT:
-        """Factorize M + J^T H J.
+        """Factorize M + J^T H J, the Hessian of the problem.
 
-        stiffness: (n, 21) K of each pair of links. rows: scalar rows with their Hessians.
+        stiffness: (n, 21) sum of b_k H_kl b_l^T of the contacts of each pair of links, a symmetric
+        6 by 6 matrix. rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]
         K = [inertia_of_row(k) for k in stiffness]

@@ -78,7 +78,7 @@ class Joints(Record):
 
     placement: (nj, 3) anchor of the joint in the frame of its body.
     axis: (nj, 3) in the frame of the joint's body; not used by ball and free joints.
-    reference: (nq,) configuration in which the file draws the robot.
+    reference: (nq,) configuration at zero displacement of the joints, qpos0 of MJCF.
     armature, damping: (nv,) including the contributions of actuators at the joint.
     stiffness, springref: (nj,) and (nq,), of the joint's spring and its rest position.
     forcerange: (nj, 2) limits of the sum of the actuator forces on the joint.
@@ -327,7 +327,7 @@ class Model(Record):
         return cast_floats(self.replace(constants=None), dtype)
 
     def default_state(self) -> State:
-        """Return the state at rest in the configuration in which the file draws the robot."""
+        """Return the state at rest at the reference configuration, qpos0 of MJCF."""
         q = self.joints.reference
         return State(q, jnp.zeros(self.nv, q.dtype), self.start(q.dtype))
 

@@ -64,7 +64,10 @@ def shadows(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, floor: float = 0.0,
     world: bool = True,
 ) -> list[Array]:  # fmt: skip
-    """Compute the outlines (n, 2) in the view of the solids' vertical shadows on the floor."""
+    """Project solids vertically onto the floor. Return the outlines (n, 2) in image coordinates.
+
+    world: whether solids of the world have shadows too.
+    """
     hulls = []
     for s in shapes:
         if s.body >= 0 or world:

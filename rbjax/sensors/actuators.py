@@ -164,7 +164,8 @@ def forces_at_tendons(context: Context) -> list[tuple[int, Lane, Lane]]:
 
 
 class TendonLimitSensor(TendonSensor):
-    """Base class of a sensor of the limit of a tendon, which is near within `limit_margin`."""
+    """Base class of the sensors of a tendon's limit. They read zero unless the length is within
+    `limit_margin` of the limit."""
 
     def margin(self, context: Context) -> Lane:
         """Return the distance before a limit at which it is near, m."""

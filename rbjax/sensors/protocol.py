@@ -56,8 +56,8 @@ def kinds() -> dict[str, Kind]:
 
     Example:
         >>> import rbjax as rb
-        >>> [name for name, kind in rb.sensors.kinds().items() if kind.placed]
-        ['accelerometer', 'gyro', 'pose', 'position']
+        >>> rb.sensors.kinds()["gyro"].placed, "q" in rb.sensors.kinds()
+        (True, True)
     """
     return dict(sorted(_KINDS.items()))
 

@@ -151,7 +151,11 @@ def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Arra
 
 
 def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
-    """Return the tolerances of rbjax: quantity -> column -> error; "" is the default."""
+    """Return the largest allowed errors of rbjax: quantity -> engine and dtype -> error.
+
+    The key "" holds for all other quantities. growth: growth of rounding errors along the
+    trajectory. doubt: error of the reference gradient.
+    """
     path = {column: UNITS * growth * unit for column, unit in EPSILON.items()}
     path = {column: tolerance for column, tolerance in path.items() if tolerance < 1}
     gradient = {"rbjax f64": max(DIFFERENCES, 10 * doubt, path.get("rbjax f64", 1.0))}

@@ -74,7 +74,7 @@ def test_every_solver_moves_a_robot(name: str) -> None:
 
 def test_the_splitting_of_rigid_bodies_names_its_term() -> None:
     model = rb.load("pendulum")
-    with pytest.raises(rb.InputError, match="RigidBodySplitting solves RigidBody alone"):
+    with pytest.raises(rb.InputError, match="RigidBodySplitting solves only RigidBody"):
         rb.simulate(model, model.default_state(), TS, solver=rb.solvers.RigidBodySplitting())
 
 

@@ -436,7 +436,7 @@ BENT = {**POSE, "left_knee": -0.5}
         (UPKIE, {**WHEELS, "q": [0.0]}, InputError, ["13 finite numbers", "keyframe"]),
         (UPKIE, {**WHEELS, "radius": -1.0}, InputError, ["radius is -1.0", "above zero"]),
         (UPKIE, {**WHEELS, "frame": "nose"}, UnknownName,
-         ["body or site 'nose'", "the body names", "'base'", "the site names"]),
+         ["body or site 'nose'", "known body names", "'base'", "known site names"]),
         (racecar(('name="laser"', 'name="laser" euler="0 90 0"')), {**CAR, "frame": "laser"},
          InputError, ["x axis of 'laser' is 90 degrees"]),
         (UPKIE, {**WHEELS, "drives": "left_knee"}, InputError, ["drives name 'left_knee'"]),
@@ -480,7 +480,7 @@ def test_a_crowd_in_one_file_is_refused() -> None:
         '<body><joint name="spare_wheel" axis="0 1 0"/><geom size="0.1" mass="1"/></body></body>'
         "</worldbody>",
     )  # fmt: skip
-    with pytest.raises(InputError, match="of 2 robots"):
+    with pytest.raises(InputError, match="belong to 2 robots"):
         wheeled.from_file(two, **CAR)
 
 

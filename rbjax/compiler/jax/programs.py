@@ -61,7 +61,7 @@ class Program:
         return [cast(ShapedArray, v.aval) for v in self.closed.jaxpr.outvars]
 
     def residuals(self, moving: Moving) -> list[ShapedArray]:
-        """Return the avals of a derivative's inputs that follow the arguments."""
+        """Return the avals of the saved residuals, which follow the arguments of the derivative."""
         forward = self.forward_with_residuals
         return forward(moving).outputs[self.first_residual :] if forward else []
 

@@ -197,7 +197,7 @@ class Affine(Record):
         return found[0] if len(found) == 1 else inner(found, (1.0, seen.length, seen.speed))
 
     def slopes(self, dtype: Any) -> Sequence[Lane]:
-        """Return c1 and c2."""
+        """Return the derivatives c1 and c2 of the force by length and velocity."""
         return numbers(self.coefficients, dtype)[1:] or (0.0, 0.0)
 
 

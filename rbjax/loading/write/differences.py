@@ -223,7 +223,7 @@ def _comparable(element: Element) -> Any:
 
 
 def _comparable_law(law: Any) -> Any:
-    """Return the law without the acceleration of its muscles, which MuJoCo computes again."""
+    """Return the force law without `acc0` of muscles, which MuJoCo computes when it compiles."""
     curves: list[Any] = [getattr(law, name, None) for name in ("gain", "bias")]
     muscles = [x.muscle for x in curves if hasattr(x, "muscle")]
     if not muscles:

@@ -109,8 +109,8 @@ def _by_shift(S: jax.Array, E: jax.Array) -> Solve:
 
 
 def _by_least_squares(S: jax.Array, size: jax.Array, eps: float) -> Solve:
-    """Factor the problem min |S w - b|^2 + eps^2 |w - c|^2, scaled to a diagonal `size` of 1.
-    Return the function (b, c) -> w."""
+    """Factor the problem min |S w - b|^2 + eps^2 |w - c|^2, scaled so that the diagonal `size` of S
+    becomes 1. Return the function (b, c) -> w."""
     r, one = 1.0 / jnp.sqrt(size), jnp.eye(len(S), dtype=S.dtype)
     Q, R = jnp.linalg.qr(jnp.concatenate([r[:, None] * S * r, eps * one]))
 

@@ -138,8 +138,8 @@ class Experiment:
         value: loss of `motion`.
         start_value: loss of the start.
         information: (n, n) information of `motion` and of the earlier experiments.
-        worst: limit -> largest g at the times of the check.
-        times: number of times of the check.
+        worst: limit -> its largest violation g at the points of the finer grid.
+        times: number of points of the finer grid.
     """
 
     motion: Any
