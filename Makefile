@@ -67,10 +67,11 @@ demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbj
 BENCHES = $(subst /,.,$(basename $(wildcard benchmarks/cpu/*.py) benchmarks/accuracy/against_mujoco.py \
   $(if $(shell command -v nvidia-smi),benchmarks/gpu/mjx.py benchmarks/gpu/threads.py)))
 
-bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/; those that failed at the end
+bench: $(STAMP) ## every benchmark, an hour; results by device in benchmarks/results/; names those that failed
 	@failed=""; \
 	for script in $(BENCHES); do \
-	  echo "$$script"; $(BIN)/python -m $$script || failed="$$failed $$script"; \
+	  echo "$$script"; begin=$$(date +%s); $(BIN)/python -m $$script || failed="$$failed $$script"; \
+	  echo "$$script: $$(($$(date +%s) - begin)) s"; \
 	done; \
 	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
 
