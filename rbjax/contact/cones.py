@@ -40,7 +40,7 @@ class Cone(NamedTuple):
         elliptic: whether the cone is elliptic or a pyramid.
         D: the inverse regularization of the normal row, or of each edge of a pyramid.
         mu: friction coefficients of the other rows; empty if the contact is frictionless.
-        impratio: ratio of the impedance of friction to that of the normal row.
+        impratio: impedance of friction over the impedance of the normal row.
     """
 
     elliptic: bool

@@ -24,8 +24,9 @@ from rbjax.contact.cones import Cone
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
+from rbjax.contact.parameters import tangential_solref
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul, pack, total, unpack
+from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -71,7 +72,7 @@ class Options(NamedTuple):
 
     Fields:
         elliptic: whether friction cones are elliptic or pyramids.
-        impratio: ratio of the impedance of friction to that of the normal row.
+        impratio: impedance of friction over the impedance of the normal row.
         dt: step in s, from which the least time constant of a contact follows.
         refsafe: whether time constants are at least two steps.
     """
@@ -110,7 +111,7 @@ class ContactSet:
         link_pairs: index of the pair of links of each pair of geoms (n,).
         parameters: `PairParameters` of all pairs.
         weights: (n,) sum of the translational inverse weights of both bodies.
-    dtype: of all arrays.
+        dtype: of all arrays.
     """
 
     dim: int
@@ -205,7 +206,7 @@ class ContactSet:
             R = regularisation(d, weight * (1.0 + mu[0] * mu[0])) * factor
         else:
             R = regularisation(d, weight)
-            sliding = _first_nonzero(self._lanes(given.solreffriction, pair), solref)
+            sliding = tangential_solref(solref, self._lanes(given.solreffriction, pair))
         return 1.0 / R, out + [towards(0.0, x, sliding) for x in v[1:]]
 
     def _lanes(self, table: Any, pair: Any) -> list[Lane]:
@@ -261,14 +262,6 @@ class Slots(NamedTuple):
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the active slots."""
         return jax.lax.fori_loop(0, self.length, step, carry)
-
-
-def _first_nonzero(a: Sequence[Lane], b: Sequence[Lane]) -> Sequence[Lane]:
-    """Return the pair a, or b if both entries of a are zero."""
-    if all(map(is_literal, a)):
-        return a if any(a) else b
-    given = (a[0] != 0) | (a[1] != 0)
-    return [jnp.where(given, x, y) for x, y in zip(a, b, strict=True)]
 
 
 def _shape(row: jax.Array) -> Shape:

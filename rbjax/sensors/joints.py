@@ -268,7 +268,7 @@ class JointLimitVelocity(JointLimitSensor):
 
 @register("jointlimitfrc", placed=True)
 class JointLimitForce(JointLimitSensor):
-    """Measure the force of the limit of a joint: that of `rbjax.forces.JointLimits`, not negative.
+    """Measure the force of a joint limit (`rbjax.forces.JointLimits`), which is not negative.
 
     It is zero if the model has no limits (`load(limits=True)`).
     """

@@ -102,7 +102,7 @@ class Solution:
 
 
 def solution_of(context: Context) -> Solution:
-    """Return the solution of a context: the one that it has, or that of the default dynamics."""
+    """Return the solution of a context, by the default dynamics if it has none yet."""
     if context.solution is not None:
         return context.solution
     return context.once(solution_of, lambda: Solution(context))

@@ -176,6 +176,6 @@ def places(
 
 
 def origin(model: Model, end: End, q: jax.Array | None = None) -> jax.Array:
-    """Return the origin (3,) in the world of an `rb.Frame`; of another end, that of the world."""
+    """Return the origin (3,) of an `rb.Frame` in the world, or the world's for another end."""
     q = model.default_state().q if q is None else q
     return frame_pose(model, q, end)[1] if isinstance(end, FixedFrame) else jnp.zeros(3, q.dtype)

@@ -30,7 +30,7 @@ _TAGS = {"jointactfrc": "jointactuatorfrc", "tendonactfrc": "tendonactuatorfrc"}
 
 
 def write_sensors(draft: Draft) -> list[sensors.NamedSensor]:
-    """Write the sensors in order; return those that the file has."""
+    """Write the sensors in order. Return the sensors that the file contains."""
     section = ET.SubElement(draft.root, "sensor")
     written = []
     names = unique([sensor.name for sensor in draft.model.sensors])
