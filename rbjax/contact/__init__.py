@@ -10,8 +10,8 @@
 
 from rbjax.contact.compliant import CompliantContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
-from rbjax.contact.impulses import Impulse, impulse
-from rbjax.contact.moreau import MoreauContact
+from rbjax.contact.impacts.impulses import Impulse, impulse
+from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
 

@@ -27,8 +27,8 @@ import jax.numpy as jnp
 from rbjax.arguments import floating_array
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.shapes import Contact
-from rbjax.contact.impulses import check_pairs
-from rbjax.contact.point_velocity import file_friction, geom_shape
+from rbjax.contact.impacts.impulses import check_pairs
+from rbjax.contact.impacts.point_velocity import file_friction, geom_shape
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rbjax.contact.moreau import MoreauContact
+from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.soft import SoftContact
 from rbjax.errors import InputError
 from rbjax.model import Model

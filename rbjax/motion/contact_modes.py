@@ -16,8 +16,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.impulses import impact, impact_problem
-from rbjax.contact.point_velocity import (
+from rbjax.contact.impacts.impulses import impact, impact_problem
+from rbjax.contact.impacts.point_velocity import (
     ContactPoints,
     contact_jacobian,
     contact_points,

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled, inside_jit
-from rbjax.contact.impulses import check_coefficients, check_pairs
+from rbjax.contact.impacts.impulses import check_coefficients, check_pairs
 from rbjax.dynamics.arguments import check_arrays, check_moves
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source

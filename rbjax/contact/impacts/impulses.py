@@ -5,7 +5,7 @@ An impact changes velocities and no positions. Only contact impulses p act,
     M (v+ - v-) = J^T p,   u+ = u- + J W J^T p
 Newton's law prescribes the normal velocity of all touching contacts at once: u_n+ >= e |u_n-|,
 complementary to p_n >= 0, with Coulomb's law between impulses and final slip. It can create energy
-if slip stops or reverses within the impact; the energetic law (`rbjax.contact.energetic`) cannot.
+if slip stops or reverses within the impact; the energetic law (`rbjax.contact.impacts.energetic`) cannot.
 
 Source: Brogliato, *Nonsmooth Mechanics*, ch. 4 and 6; Glocker, *Set-Valued Force Laws*, ch. 13.
 """
@@ -18,11 +18,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
-from rbjax.contact.energetic import energetic_impulse
 from rbjax.contact.geometry.candidates import candidates
 from rbjax.contact.geometry.detection import Contacts, _check_kinds, _pairs_of
-from rbjax.contact.impulse_equations import ImpulseProblem, solve_impulses
-from rbjax.contact.point_velocity import (
+from rbjax.contact.impacts.energetic import energetic_impulse
+from rbjax.contact.impacts.impulse_equations import ImpulseProblem, solve_impulses
+from rbjax.contact.impacts.point_velocity import (
     ContactPoints,
     Pairs,
     coefficients,

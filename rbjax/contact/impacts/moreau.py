@@ -20,9 +20,9 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.constraints.formulation import formulation_of
-from rbjax.contact.impulse_equations import natural_map, sweep_impulses
-from rbjax.contact.impulses import check_coefficients, check_pairs, impact_problem
-from rbjax.contact.point_velocity import contact_jacobian, contact_points, inverse_inertia
+from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
+from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
+from rbjax.contact.impacts.point_velocity import contact_jacobian, contact_points, inverse_inertia
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.arguments import check_model

@@ -1,0 +1,1 @@
+"""Impacts: impulses between geoms, and time stepping with impulses."""
