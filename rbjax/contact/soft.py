@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import ContactForces, contact_forces
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
@@ -93,7 +94,10 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        return contact_acceleration(model, state.q, state.v, tau, f_ext, self.iterations)
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
+            return contact_acceleration(model, q, v, tau, f_ext, self.iterations)
+
+        return threads(solved)(state.q, state.v, tau)
 
     def contact_forces(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
