@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.geometry.candidates import PairKind
@@ -19,10 +20,11 @@ from rbjax.contact.scalar_rows import FRICTION, LIMIT, ScalarRow
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
+from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, is_zero, mul, neg, quaternion_matrix, sub, total
+from rbjax.lanes import Lane, Mat3, Vec3, mul, neg, quaternion_matrix, sub, total, unpack
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
@@ -69,25 +71,34 @@ class Assembly:
 
     def __init__(self, model: Model, q: jax.Array, v: jax.Array):
         self.model, self.q, self.v, self.top = model, q, v, model.topology
-        self.d = Unrolled(model, prepare(model, q.dtype))
+        self.touching = Touching.of(model)
+        self.d = self._driver()
         self.joints = self.d.joints(q, v)
-        poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
+        poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
         self.origin = poses[min(self.top.last_links.values())].p
         self._poses = [Transform(x.R, x.p - self.origin) for x in poses]
-        self.touching = Touching.of(model)
 
     def problem(self, tau: jax.Array, f_ext: LinkForces | None) -> Problem:
         """Return the problem for applied forces. Contacts are not yet detected."""
         d, dtype = self.d, self.q.dtype
         bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
-        rhs = [sub(t, b) for t, b in zip(d.lanes(tau), bias, strict=True)]
+        rhs = [sub(t, b) for t, b in zip(unpack(tau), d.whole(bias), strict=True)]
         world = self._world() if self.touching.geoms else None
         return Problem(self._tree(), rhs, self._sets(), self._rows(), world, dtype)
 
-    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> list[Lane]:
-        """Compute M a + b - J^T f_ext."""
+    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> Any:
+        """Compute M a + b - J^T f_ext, per link."""
         d = self.d
         return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
+
+    def _driver(self) -> Driver:
+        """Return a driver whose whole form is a list."""
+        model, dtype = self.model, self.q.dtype
+        if self._articulated and kernels_available():
+            d = driver(on_threads(model, dtype), dtype)
+            if d.listed:
+                return d
+        return Unrolled(model, prepare(model, dtype))
 
     @cached_property
     def _articulated(self) -> bool:
@@ -95,16 +106,14 @@ class Assembly:
         rigid."""
         kinds, limited = self.top.joints, self.model.solver.limited  # type: ignore[union-attr]
         world = all(WORLD in pair for pair in self.touching.link_pairs)
-        rigid = all(is_zero(x) for x in jax.tree.leaves([joint.modal for joint in self.joints]))
+        rigid = not any(dof.kind.modal for dof in self.top.dofs)
         return rigid and world and not any(kinds[j].quaternion for j in limited)
 
     def _tree(self) -> Tree | ArticulatedTree:
         links = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            parts = zip(self.joints, self.d.constants, strict=True)
-            X = [joint.transform(link) for joint, link in parts]
-            return ArticulatedTree(self.d, self.joints, X, *links, weights)
+            return ArticulatedTree(self.d, self.joints, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
         M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]

@@ -66,8 +66,8 @@ def contact_forces(
 ) -> ContactForces:
     """Compute the contact forces at the acceleration a (nv,) that solves the contact problem."""
     assembly = Assembly(model, q, v)
-    problem, d = assembly.problem(tau, f_ext), assembly.d
-    twists = problem.tree.twists(d.lanes(a), problem.dtype)
+    problem = assembly.problem(tau, f_ext)
+    twists = problem.tree.twists(a, problem.dtype)
     found, geoms = [], []
     for contacts in problem.sets:
         n = contacts.candidates

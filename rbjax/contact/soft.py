@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
@@ -16,7 +15,7 @@ from rbjax.contact.problem import Problem
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.errors import InputError
-from rbjax.lanes import batch_first
+from rbjax.lanes import batch_first, pack
 from rbjax.model import Model, State
 
 
@@ -50,18 +49,13 @@ def contact_acceleration(
 
     def solved(*at):
         problem, found = solved_at(*at)
-        factors = factorize_at(problem, found.x)
-
-        def change(b):
-            return jnp.stack([jnp.asarray(y, b.dtype) for y in factors.solve(list(b))])
-
-        return (found.x,), [change]
+        return (found.x,), [factorize_at(problem, found.x).solve]
 
     def residual(changed, q, v, tau, a):
         model, f_ext = rebuilt(changed)
         assembly = Assembly(model, q, v)
         problem, d = assembly.problem(tau, f_ext), assembly.d
-        pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
+        pushes = pack(problem.constraint_forces(a), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))[0]
@@ -94,6 +88,7 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
+
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
             return contact_acceleration(model, q, v, tau, f_ext, self.iterations)
 
