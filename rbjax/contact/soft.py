@@ -20,28 +20,30 @@ from rbjax.model import Model, State
 
 
 def detected(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None
-) -> Problem:
-    """Return the contact problem of a model, with its active contacts."""
-    problem = Assembly(model, q, v).problem(tau, f_ext)
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
+    dt: Any = None,
+) -> Problem:  # fmt: skip
+    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
+    for the model's timestep."""
+    problem = Assembly(model, q, v, dt).problem(tau, f_ext)
     problem.detect()
     return problem
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS,
+    iterations: int = ITERATIONS, dt: Any = None,
 ) -> jax.Array:  # fmt: skip
     """Compute the acceleration (nv,) with contacts, limits and friction loss.
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
     The features of geoms that touch are held constant.
     """
-    given, rebuilt = split_tracers((model, f_ext))
+    given, rebuilt = split_tracers((model, f_ext, dt))
 
     def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
-        model, f_ext = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext)
+        model, f_ext, dt = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, dt)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
@@ -57,8 +59,8 @@ def contact_acceleration(
         return (found.x,), [change]
 
     def residual(changed, q, v, tau, a):
-        model, f_ext = rebuilt(changed)
-        assembly = Assembly(model, q, v)
+        model, f_ext, dt = rebuilt(changed)
+        assembly = Assembly(model, q, v, dt)
         problem, d = assembly.problem(tau, f_ext), assembly.d
         pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
@@ -71,12 +73,13 @@ class SoftContact:
     """MuJoCo's law of contact, limits and friction loss, as a `Dynamics`.
 
     The acceleration minimises Gauss' principle with soft constraints. Results equal those of MuJoCo
-    with Newton's method at tolerance 0. The least time constant of a contact is two of
-    `model.timestep`.
+    with Newton's method at tolerance 0. The least time constant of a contact is two steps.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
             best acceleration that was found; `rb.contact.solve` reports its error.
+        dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
+            timestep.
 
     Source: Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*,
     2014; MuJoCo, *Computation*.
@@ -88,12 +91,15 @@ class SoftContact:
     """
 
     iterations: int = ITERATIONS
+    dt: Any = None
 
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        return contact_acceleration(model, state.q, state.v, tau, f_ext, self.iterations)
+        return contact_acceleration(
+            model, state.q, state.v, tau, f_ext, self.iterations, self.dt
+        )  # fmt: skip
 
     def contact_forces(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces

@@ -155,7 +155,7 @@ def _step(
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
     dynamics = with_contact("step", model, dynamics, contact)
     dynamics = dynamics_of("step", model, dynamics, constraints, steps=True)
-    integrator = integrator_of("step", integrator, dynamics)
+    integrator = integrator_of("step", integrator, dynamics, model)
     state, inputs = with_memory(model, state, dynamics), Inputs(ctrl, tau, wrenches)
     return advance_state(integrator, Field(model, dynamics, dt), t, state, inputs, dt)
 
