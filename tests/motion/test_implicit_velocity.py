@@ -40,8 +40,8 @@ ARM = """<mujoco><option timestep=".01" {option}/><worldbody>
 DRIVES = """<position joint="a" kp="1" kv=".3"/><velocity joint="b" kv=".07" gear="2"/>
 <position tendon="t" kp=".5" kv=".3"/>
 <muscle joint="b" lengthrange="-1 1" range=".7 1.4" force="4"/>
-<general site="tip" gear="1 2 0 0 1 3" biastype="affine" biasprm="0 0 -.002"/>
-<general jointinparent="c" gear="1 2 0" biastype="affine" biasprm="0 -.1 -.002"/>
+<general site="tip" gear=".1 .2 0 0 .01 .03" biastype="affine" biasprm="0 0 -.2"/>
+<general jointinparent="c" gear=".01 .02 0" biastype="affine" biasprm="0 -.1 -.2"/>
 <general joint="a" gaintype="affine" gainprm="1 .2 .3" dyntype="integrator" actearly="true"/>"""
 LIMITED = """<position joint="a" kp="10" kv="3"/><position tendon="t" kp=".5" kv=".3"/>
 <position joint="b" kp="5" kv="3" forcerange="-.1 .1"/>"""
