@@ -182,7 +182,8 @@ class Assembly:
         for i in own.rubbing:
             solref, solimp = _row(own.friction_solref, i), _row(own.friction_solimp, i)
             D, a = self._row(0.0, self.v[i], i, solref, solimp)
-            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, lane(own.frictionloss, i)))
+            floss = lane(own.frictionloss, i)
+            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, floss, ("dof", i)))
         return rows
 
     def _limits(self, own: Any, j: int) -> list[ScalarRow]:
@@ -199,7 +200,7 @@ class Assembly:
             r = jnp.where(active, distance - margin, 0.0)
             rate = total(mul(x, self.v[n]) for n, x in J.items())
             D, a = self._row(r, rate, i, _row(own.limit_solref, j), _row(own.limit_solimp, j))
-            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a))
+            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a, 0.0, ("joint", j)))
         return rows
 
     def _row(
