@@ -274,7 +274,8 @@ class Slots(NamedTuple):
     def collect(cls, contacts: ContactSet, world: World, *, places: bool = False) -> Slots:
         """Run the narrow phase of a set and store the active contacts.
 
-        places: whether to store the places of the contacts too.
+        places: whether to store the places of the contacts too, and the contacts in the gap, which
+            have no force.
         """
         n, m, dtype = contacts.candidates, 7 * contacts.dim + 1, world.geoms.dtype
         like = jnp.zeros(m, dtype)
@@ -285,7 +286,10 @@ class Slots(NamedTuple):
             values = pack([*lanes, row.D, *row.reference], like)
             rows = slots.rows.at[slots.length].set(values)
             pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
-            at = None if slots.places is None else slots.places.store(slots.length, row)
+            at = slots.places
+            if at is not None:
+                assert row.contact is not None
+                at, active = at.store(slots.length, row), row.contact.exists
             return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs, at)
 
         at = Places.empty(n, dtype) if places else None
