@@ -12,6 +12,7 @@ from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import ContactForces, contact_forces
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.problem import Problem
+from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.errors import InputError
@@ -20,28 +21,29 @@ from rbjax.model import Model, State
 
 
 def detected(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None
-) -> Problem:
-    """Return the contact problem of a model, with its active contacts."""
-    problem = Assembly(model, q, v).problem(tau, f_ext)
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
+    t: Any = 0.0,
+) -> Problem:  # fmt: skip
+    """Return the contact problem of a model at a time, with its active contacts."""
+    problem = Assembly(model, q, v, t).problem(tau, f_ext)
     problem.detect()
     return problem
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS,
+    t: Any = 0.0, iterations: int = ITERATIONS,
 ) -> jax.Array:  # fmt: skip
-    """Compute the acceleration (nv,) with contacts, limits and friction loss.
+    """Compute the acceleration (nv,) with contacts, limits, friction loss and equalities.
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
     The features of geoms that touch are held constant.
     """
-    given, rebuilt = split_tracers((model, f_ext))
+    given, rebuilt = split_tracers((model, f_ext, t))
 
     def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
-        model, f_ext = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext)
+        model, f_ext, t = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, t)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
@@ -57,8 +59,8 @@ def contact_acceleration(
         return (found.x,), [change]
 
     def residual(changed, q, v, tau, a):
-        model, f_ext = rebuilt(changed)
-        assembly = Assembly(model, q, v)
+        model, f_ext, t = rebuilt(changed)
+        assembly = Assembly(model, q, v, t)
         problem, d = assembly.problem(tau, f_ext), assembly.d
         pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
@@ -68,11 +70,12 @@ def contact_acceleration(
 
 @dataclass(frozen=True)
 class SoftContact:
-    """MuJoCo's law of contact, limits and friction loss, as a `Dynamics`.
+    """MuJoCo's law of contact, limits, friction loss and equalities, as a `Dynamics`.
 
     The acceleration minimises Gauss' principle with soft constraints. Results equal those of MuJoCo
-    with Newton's method at tolerance 0. The least time constant of a contact is two of
-    `model.timestep`.
+    with Newton's method at tolerance 0. The least time constant of a row is two of
+    `model.timestep`. The constraints of the model must be soft (`rbjax.constraints.Soft`), as
+    `rb.load(contacts=True)` makes the equalities of a file.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
@@ -109,9 +112,4 @@ class SoftContact:
                 f"{where}: contact='mujoco' needs the contact parameters of a file, and the model "
                 "has none; load it by rb.load, or build it by rb.ModelBuilder"
             )
-        if model.constraints:
-            raise InputError(
-                f"{where}: contact='mujoco' and the constraints of the model "
-                f"({len(model.constraints)}) are not solved together; load(constraints=False), or "
-                "model.replace(constraints=())"
-            )
+        check_soft(where, model)
