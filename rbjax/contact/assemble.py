@@ -67,11 +67,13 @@ class Touching(NamedTuple):
 class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
-    The origin is the last link of the first body that moves.
+    The origin is the last link of the first body that moves. `dt` is the step in s, None for the
+    model's timestep, and `t` the time in s, which constraints read.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array, t: Any = 0.0):
+    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
+        self.dt = model.timestep if dt is None else dt
         self.d = Unrolled(model, prepare(model, q.dtype))
         self.joints = self.d.joints(q, v)
         poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
@@ -173,7 +175,7 @@ class Assembly:
     def _options(self) -> Options:
         own: Any = self.model.solver
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
-        return Options(own.cone == "elliptic", impratio, self.model.timestep, own.refsafe)
+        return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe)
 
     @cached_property
     def _rows(self) -> list[ScalarRow]:
