@@ -12,6 +12,7 @@ import numpy as np
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.geometry.candidates import PairKind
+from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
@@ -22,7 +23,7 @@ from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, is_zero, mul, neg, quaternion_matrix, sub, total
+from rbjax.lanes import Lane, Mat3, Vec3, is_zero, mul, neg, sub, total
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
@@ -64,11 +65,13 @@ class Touching(NamedTuple):
 class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
-    The origin is the last link of the first body that moves.
+    The origin is the last link of the first body that moves. `dt` is the step in s, None for the
+    model's timestep.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array):
+    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None):
         self.model, self.q, self.v, self.top = model, q, v, model.topology
+        self.dt = model.timestep if dt is None else dt
         self.d = Unrolled(model, prepare(model, q.dtype))
         self.joints = self.d.joints(q, v)
         poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
@@ -111,18 +114,16 @@ class Assembly:
         return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
 
     def _world(self) -> World:
-        own, rows = columns(self.model.geoms), []
+        own, rows = self.model.geoms, []
         for g, link in self.touching.of_geom.items():
-            placed = Transform(
-                quaternion_matrix(*_row(own.orientation, g)), Vec3(*_row(own.position, g))
-            )
-            if own.bodies[g] != WORLD:
-                placed = self.d.prepared.weld(own.bodies[g]).then(placed)
+            fixed = Transform(Mat3.identity(), Vec3.zero())
+            weld = fixed if own.bodies[g] == WORLD else self.d.prepared.weld(own.bodies[g])
+            shape = geom_shape(self.model, g, weld, self.q.dtype)
             if link == WORLD:
-                placed = Transform(placed.R, placed.p - self.origin)
+                placed = Transform(shape.R, shape.p - self.origin)
             else:
-                placed = self._poses[link].then(placed)
-            rows.append([*placed.R, *placed.p, *_row(own.size, g)])
+                placed = self._poses[link].then(Transform(shape.R, shape.p))
+            rows.append([*placed.R, *placed.p, *shape.size])
         moving, dtype = self.touching.links, self.q.dtype
         poses = None
         if self._articulated:
@@ -171,7 +172,7 @@ class Assembly:
     def _options(self) -> Options:
         own: Any = self.model.solver
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
-        return Options(own.cone == "elliptic", impratio, self.model.timestep, own.refsafe)
+        return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe)
 
     def _rows(self) -> list[ScalarRow]:
         """Return the rows of limits and friction loss."""
@@ -180,7 +181,8 @@ class Assembly:
         for i in own.rubbing:
             solref, solimp = _row(own.friction_solref, i), _row(own.friction_solimp, i)
             D, a = self._row(0.0, self.v[i], i, solref, solimp)
-            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, lane(own.frictionloss, i)))
+            floss = lane(own.frictionloss, i)
+            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, floss, ("dof", i)))
         return rows
 
     def _limits(self, own: Any, j: int) -> list[ScalarRow]:
@@ -197,7 +199,7 @@ class Assembly:
             r = jnp.where(active, distance - margin, 0.0)
             rate = total(mul(x, self.v[n]) for n, x in J.items())
             D, a = self._row(r, rate, i, _row(own.limit_solref, j), _row(own.limit_solimp, j))
-            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a))
+            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a, 0.0, ("joint", j)))
         return rows
 
     def _row(
