@@ -12,6 +12,7 @@ import numpy as np
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.geometry.candidates import PairKind
+from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
@@ -25,7 +26,7 @@ from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, Mat3, Vec3, is_zero, quaternion_matrix, sub
+from rbjax.lanes import Lane, Mat3, Vec3, is_zero, sub
 from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
@@ -115,18 +116,16 @@ class Assembly:
         return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
 
     def _world(self) -> World:
-        own, rows = columns(self.model.geoms), []
+        own, rows = self.model.geoms, []
         for g, link in self.touching.of_geom.items():
-            placed = Transform(
-                quaternion_matrix(*_row(own.orientation, g)), Vec3(*_row(own.position, g))
-            )
-            if own.bodies[g] != WORLD:
-                placed = self.d.prepared.weld(own.bodies[g]).then(placed)
+            fixed = Transform(Mat3.identity(), Vec3.zero())
+            weld = fixed if own.bodies[g] == WORLD else self.d.prepared.weld(own.bodies[g])
+            shape = geom_shape(self.model, g, weld, self.q.dtype)
             if link == WORLD:
-                placed = Transform(placed.R, placed.p - self.origin)
+                placed = Transform(shape.R, shape.p - self.origin)
             else:
-                placed = self._poses[link].then(placed)
-            rows.append([*placed.R, *placed.p, *_row(own.size, g)])
+                placed = self._poses[link].then(Transform(shape.R, shape.p))
+            rows.append([*placed.R, *placed.p, *shape.size])
         moving, dtype = self.touching.links, self.q.dtype
         poses = None
         if self._articulated:
@@ -188,12 +187,3 @@ class Assembly:
         if has_tendon_rows(model):
             rows += tendon_rows(context, tendon_weights(model), options)
         return rows + equality_rows(context, options)
-
-
-def columns(tree: Any) -> Any:
-    """Convert concrete leaves to numpy arrays, whose entries are literals."""
-    return jax.tree.map(lambda x: x if is_traced(x) else np.asarray(x, np.float64), tree)
-
-
-def _row(table: Any, i: int) -> list[Lane]:
-    return [lane(table[i], k) for k in range(table.shape[1])]

@@ -96,11 +96,14 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the entries of `Model.dropped` about cameras, and about sensors that are not read."""
-    obj = mujoco.mjtObj
+    """Return the entries of `Model.dropped` about sensors that are not read.
+
+    Cameras, lights and materials have no effect but on pictures, and are no entries. A sensor of a
+    camera is read."""
     kinds = read_sensors(m)[1]
-    out = [_named(what, m, obj.mjOBJ_SENSOR, which) for what, which in kinds.items()]
-    return (*out, *[_named("cameras", m, obj.mjOBJ_CAMERA, range(m.ncam))] * bool(m.ncam))
+    return tuple(
+        _named(what, m, mujoco.mjtObj.mjOBJ_SENSOR, which) for what, which in kinds.items()
+    )
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
