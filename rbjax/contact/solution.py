@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from rbjax.contact.contact_forces import ContactForces, contact_forces
 from rbjax.contact.newton import tolerance_of
 from rbjax.contact.problem import Problem, add_row
-from rbjax.contact.scalar_rows import EQUALITY, FRICTION, LIMIT
+from rbjax.contact.rows.scalar_row import EQUALITY, FRICTION, LIMIT
 from rbjax.lanes import Lane, pack, sub, unpack
 from rbjax.model.record import Record
 
