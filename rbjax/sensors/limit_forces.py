@@ -9,7 +9,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.scalar_rows import LIMIT
+from rbjax.contact.rows.scalar_row import LIMIT
 from rbjax.forces.context import Context, JointState
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.lanes import Lane, inner

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.reactions import body_reactions
+from rbjax.contact.rows.scalar_row import EQUALITY
 from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import ContactSolution
 from rbjax.forces.context import Context
@@ -110,9 +111,9 @@ class Solution:
         if self.contacts is not None:
             parts.append(wrenches_of_contacts(now, self.contacts))
         if now.model.constraints:
-            parts.append(
-                body_reactions(now, *self._field.applied(now.t, now.state, self.inputs)[:2])
-            )
+            tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
+            known = None if self.solved is None else self.solved.forces_of(EQUALITY)
+            parts.append(body_reactions(now, tau, f_ext, known))
         for part in parts:
             for b, wrench in part.items():
                 out[b] = out[b] + wrench if b in out else wrench

@@ -88,6 +88,43 @@ def test_touch_force_and_limit_sensors_read_as_mujoco(cone: str) -> None:
     assert (sums[m.sensor_adr] > 1e-3).all()
 
 
+#: a bar on the floor that a connect and a weld hold, and a lever with a tendon at its limit
+HELD = """<mujoco><option timestep=".002" tolerance="0" iterations="100" ls_tolerance="1e-10"/>
+<worldbody><geom type="plane" size="0 0 1"/>
+<body name="lever" pos="0 0 .2"><joint name="p" axis="0 1 0"/><joint name="s" type="slide"
+    axis="1 0 0"/><geom type="sphere" size=".05" pos=".1 0 0"/><site name="in" pos=".02 0 0"/>
+  <body name="tip" pos=".2 0 0"><joint name="b" type="ball"/>
+    <geom type="sphere" size=".03" pos=".05 0 0"/><site name="out" pos=".01 0 0"/></body></body>
+<body name="bar" pos=".3 0 .0495"><freejoint/><geom type="box" size=".1 .05 .05"/>
+  <site name="bar"/></body>
+<body name="cap" pos=".3 0 .12"><freejoint/><geom type="box" size=".02 .02 .02"/>
+  <site name="cap"/></body>
+</worldbody><equality><connect body1="tip" body2="bar" anchor=".05 0 0"/>
+<weld body1="cap" body2="bar"/></equality>
+<tendon><fixed name="t" limited="true" range="-.02 .02"><joint joint="p" coef="1"/><joint joint="s"
+  coef="-2"/></fixed></tendon><sensor>{sensors}</sensor></mujoco>"""
+
+
+def test_forces_of_equalities_and_tendon_limits_with_contacts() -> None:
+    sensors = "".join(
+        f'<force site="{s}"/><torque site="{s}"/><accelerometer site="{s}"/>'
+        for s in ("in", "out", "bar", "cap")
+    )
+    m = mujoco.MjModel.from_xml_string(
+        HELD.format(sensors=sensors + '<tendonlimitfrc tendon="t"/>')
+    )
+    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
+    run, most = jax.jit(rb.threads(lambda q, v: rb.sense(model, rb.State(q, v)))), 0.0
+    for _ in range(4):
+        for _ in range(15):
+            mujoco.mj_step(m, d)
+        mujoco.mj_forward(m, d)
+        assert d.ncon and d.ne == 9
+        assert relative_error(run(d.qpos, d.qvel), d.sensordata, floor=1.0) < F64_PARITY
+        most = max(most, d.sensordata[-1])
+    assert most > 0.1
+
+
 def test_a_contact_in_the_gap_is_found() -> None:
     """It has no force. A batch, f32, and a sensor of a model without contacts."""
     text = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" margin=".1" gap=".1"/>
