@@ -102,16 +102,16 @@ class SoftContact:
         a = self(model, t, state, tau, f_ext)
         return contact_forces(model, state.q, state.v, tau, f_ext, a)
 
-    def check(self, where: str, model: Model) -> None:
-        """Raise InputError if the law has no parameters for a model."""
+    def check(self, where: str, model: Model, name: str = "mujoco") -> None:
+        """Raise InputError if the law of a name has no parameters for a model."""
         if model.solver is None or model.geoms is None:
             raise InputError(
-                f"{where}: contact='mujoco' needs the contact parameters of a file, and the model "
+                f"{where}: contact={name!r} needs the contact parameters of a file, and the model "
                 "has none; load it by rb.load, or build it by rb.ModelBuilder"
             )
         if model.constraints:
             raise InputError(
-                f"{where}: contact='mujoco' and the constraints of the model "
+                f"{where}: contact={name!r} and the constraints of the model "
                 f"({len(model.constraints)}) are not solved together; load(constraints=False), or "
                 "model.replace(constraints=())"
             )
