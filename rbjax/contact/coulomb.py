@@ -22,7 +22,7 @@ from rbjax.contact.contact_rows import Slots
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.latched_disc import DiscSet, memory_width
-from rbjax.contact.newton import ITERATIONS, factorize_at, solve
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, residual
 from rbjax.contact.soft import SoftContact
@@ -38,9 +38,9 @@ LINEAR = 24
 
 
 class _Found(NamedTuple):
-    """The solution: acceleration, slots with latched forces, their relative change, rounds."""
+    """The solution, the latched forces of each set, their relative change, and the rounds."""
 
-    x: jax.Array
+    solution: Solution
     latches: list[jax.Array]
     error: jax.Array
     rounds: jax.Array
@@ -102,32 +102,31 @@ class CoulombContact:
     ) -> tuple[jax.Array, jax.Array]:
         """Compute the velocity (nv,) and the memory after a step dt."""
         assert state.memory is not None
-        given, rebuilt = split_tracers((model, f_ext, dt))
+        given, rebuilt = split_tracers((model, f_ext, dt, t if model.constraints else 0.0))
 
         def problem_at(changed: Any, q: Any, v: Any, tau: Any, memory: Any) -> tuple[Any, Problem]:
-            model, f_ext, dt = rebuilt(changed)
-            assembly = Assembly(model, q, v)
+            model, f_ext, dt, t = rebuilt(changed)
+            assembly = Assembly(model, q, v, dt, t)
             return assembly, self._with_bristles(assembly.problem(tau, f_ext), memory, dt)
 
         def solved_at(*at: Any) -> tuple[Problem, _Found]:
-            _, problem = problem_at(*at)
-            _detect(problem)
+            problem = _detected(problem_at(*at)[1])
             found = _iterate(problem, self.rounds, self.iterations)
             return _latched(problem, found.latches), found
 
         def plain(*at: Any) -> Any:
             problem, found = solved_at(*at)
-            return batch_first((found.x, _memory_of_slots(problem, found)), at)
+            return batch_first((found.solution.x, _memory_of_slots(problem, found)), at)
 
         def solved(*at: Any) -> tuple[Any, Any]:
             problem, found = solved_at(*at)
-            change = _linear_solver(problem, found.x)
-            return (found.x, _memory_of_slots(problem, found)), [change, lambda b: b]
+            change = _linear_solver(problem, found.solution)
+            return (found.solution.x, _memory_of_slots(problem, found)), [change, lambda b: b]
 
         def equation(*at: Any) -> jax.Array:
             *at, a = at
             assembly, problem = problem_at(*at)
-            _, f_ext, _ = rebuilt(at[0])
+            _, f_ext, *_ = rebuilt(at[0])
             tau, d = at[3], assembly.d
             pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
             return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
@@ -152,11 +151,8 @@ class CoulombContact:
                 contacts = DiscSet.of(
                     contacts, own, jnp.asarray(dt, dtype), self.share, self.stiffness
                 )
-            else:
-                options = contacts.options._replace(dt=jnp.asarray(dt, dtype))
-                contacts = dataclasses.replace(contacts, options=options)
             sets.append(contacts)
-        return dataclasses.replace(problem, sets=sets, slots=[])
+        return dataclasses.replace(problem, sets=sets)
 
 
 def _candidates(model: Model) -> dict[int, int]:
@@ -170,17 +166,23 @@ def _candidates(model: Model) -> dict[int, int]:
     return dict(sorted(out.items()))
 
 
-def _detect(problem: Problem) -> None:
-    world = problem.touching
-    problem.slots = [
-        x.collect(world) if isinstance(x, DiscSet) else Slots.collect(x, world)
-        for x in problem.sets
-    ]  # fmt: skip
+def _detected(problem: Problem) -> Problem:
+    """Return the problem with its active contacts."""
+    world, slots = problem.touching, list[Any]()
+    for contacts in problem.sets:
+        disc = isinstance(contacts, DiscSet)
+        slots.append(contacts.collect(world) if disc else Slots.collect(contacts, world))
+    return dataclasses.replace(problem, slots=slots)
 
 
-def _discs(problem: Problem) -> list[tuple[DiscSet, Any]]:
-    both = zip(problem.sets, problem.slots, strict=True)
-    return [(x, slots) for x, slots in both if isinstance(x, DiscSet)]
+def _discs(problem: Problem, *others: Any) -> list[tuple]:
+    """Return the sets with friction, their slots and further values of each set."""
+    every = zip(problem.sets, problem.slots, *others, strict=True)
+    return [x for x in every if isinstance(x[0], DiscSet)]
+
+
+def _residual(r: jax.Array, k: Any) -> list[Any]:
+    return [r[k, i] for i in range(r.shape[1])]
 
 
 def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
@@ -199,50 +201,51 @@ def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
     tiny, bound = jnp.finfo(dtype).tiny, LATCHED[jnp.dtype(dtype).itemsize]
 
     def step(at: _Found) -> _Found:
-        x = solve(_latched(problem, at.latches), iterations=iterations).x
-        twists = problem.tree.twists(unpack(x), dtype)
+        latched = _latched(problem, at.latches)
+        found = solve(latched, iterations=iterations)
         new, change, size = list[Any](), jnp.zeros((), dtype), jnp.full((), tiny, dtype)
-        for (contacts, slots), old in zip(_discs(problem), at.latches, strict=True):
+        sets = _discs(latched, found.residuals)
+        for (contacts, slots, r), old in zip(sets, at.latches, strict=True):
 
-            def normal(k: Any, out: Any, of: Any = contacts, slots: Any = slots) -> Any:
-                row = slots.row(k, of.dim)
-                return out.at[k].set(of.cone(row).normal(residual(of, row, twists)[0]))
+            def normal(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+                return out.at[k].set(of.cone(slots.row(k, of.dim)).normal(r[k, 0]))
 
             f = slots.fold(normal, jnp.zeros_like(old))
             change = jnp.maximum(change, jnp.abs(f - old).max(initial=0.0))
             size = jnp.maximum(size, f.max(initial=0.0))
             new.append(f)
-        return _Found(x, new, change / size, at.rounds + 1)
+        return _Found(found, new, change / size, at.rounds + 1)
 
     def unfinished(at: _Found) -> jax.Array:
         return (at.error > bound) & (at.rounds < rounds)
 
-    x = jnp.zeros(len(problem.rhs), dtype)
+    infinite = jnp.full((), jnp.inf, dtype)
+    residuals = [jnp.zeros((s.rows.shape[0], x.dim), dtype) for x, s in
+                 zip(problem.sets, problem.slots, strict=True)]  # fmt: skip
+    none = Solution(jnp.zeros(len(problem.rhs), dtype), jnp.int32(0), infinite, residuals)
     latches = [slots.latches for _, slots in _discs(problem)]
-    start = _Found(x, latches, jnp.full((), jnp.inf, dtype), jnp.int32(0))
-    return jax.lax.while_loop(unfinished, step, start)
+    return jax.lax.while_loop(unfinished, step, _Found(none, latches, infinite, jnp.int32(0)))
 
 
-def _linear_solver(problem: Problem, x: jax.Array) -> Any:
+def _linear_solver(problem: Problem, solution: Solution) -> Any:
     """Return the function b -> (-d equation / dx)^-1 b, with normal forces that change friction.
 
     The iteration H y_k+1 = b + J^T (df / dF) dF(y_k) has the rate of the forward iteration.
     """
-    factors = factorize_at(problem, x)
+    factors = factorize_at(problem, solution)
     tree, dtype = problem.tree, problem.dtype
-    twists = tree.twists(unpack(x), dtype)
 
     def coupled(y: jax.Array) -> jax.Array:
         moving = tree.twists(unpack(y), dtype)
         wrenches = jnp.zeros((len(tree.touching) + 1, 6), dtype)
-        for contacts, slots in _discs(problem):
+        for contacts, slots, r in _discs(problem, solution.residuals):
 
-            def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots) -> Any:
+            def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
                 row = slots.row(k, of.dim)
-                r, cone = residual(of, row, twists), of.cone(row)
-                sticks, _, t = cone.slip(r)
+                cone = of.cone(row)
+                sticks, _, t = cone.slip(_residual(r, k))
                 rate = row.along(of.relative(row, moving))[0]
-                change = jnp.where(sticks | (r[0] >= 0), 0.0, -row.D * rate)
+                change = jnp.where(sticks | (r[k, 0] >= 0), 0.0, -row.D * rate)
                 f = [0.0, *(-change * m * u for m, u in zip(cone.mu, t, strict=True))]
                 return of.add_wrench(row, out, row.wrench(f))
 
@@ -263,13 +266,12 @@ def _linear_solver(problem: Problem, x: jax.Array) -> Any:
 
 def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
     """Compute the memory after a step from the active contacts."""
-    twists, parts = problem.tree.twists(unpack(found.x), problem.dtype), list[Any]()
-    for contacts, slots in _discs(problem):
+    parts = list[Any]()
+    for contacts, slots, r in _discs(problem, found.solution.residuals):
 
-        def store(k: Any, out: Any, of: Any = contacts, slots: Any = slots) -> Any:
+        def store(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
             row = slots.row(k, of.dim)
-            new = of.next_memory(row, residual(of, row, twists), True)
-            return out.at[row.candidate].set(new)
+            return out.at[row.candidate].set(of.next_memory(row, _residual(r, k), True))
 
         parts.append(slots.fold(store, jnp.zeros_like(contacts.memory)).reshape(-1))
     return jnp.concatenate([*parts, found.error[None]])

@@ -178,7 +178,6 @@ class DiscSet(ContactSet):
     def of(cls, given: ContactSet, memory: Any, step: Any, share: Any, stiffness: Any) -> DiscSet:
         """Add bristles to a set of contacts."""
         kept = {f.name: getattr(given, f.name) for f in fields(ContactSet)}
-        kept["options"] = given.options._replace(dt=step)
         return cls(**kept, memory=memory, step=step, share=share, stiffness=stiffness)
 
     def cone(self, row: Any) -> Any:

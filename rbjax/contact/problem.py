@@ -3,7 +3,7 @@
     min over x of  (x - a_s)^T M (x - a_s) / 2 + sum of s_i(J_i x - a_ref,i),    M a_s = tau - b
 
 x is the joint acceleration, s_i the costs of contacts (`cones`) and of limits, friction loss and
-equalities (`scalar_rows`). Its gradient is M x - (tau - b) - J^T f (MuJoCo, *Computation*).
+equalities (`rows`). Its gradient is M x - (tau - b) - J^T f (MuJoCo, *Computation*).
 
 The Hessian M + J^T H J has the pattern of M if all contacts are with the world: a contact adds the
 6 by 6 matrix K = sum of b_k H_kl b_l^T to the composite inertia of its link. A contact of two links
@@ -13,14 +13,14 @@ couples the two paths from their nearest common ancestor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
-from rbjax.contact.scalar_rows import ScalarRow
+from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
@@ -136,7 +136,7 @@ def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
     return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Problem:
     """The convex problem at a state.
 
@@ -147,6 +147,7 @@ class Problem:
         rows: limits, friction loss and equalities.
         world: geoms and twists, for the narrow phase.
         dtype: of all arrays.
+        slots: the active contacts of each set; empty before `detect`.
     """
 
     tree: Any
@@ -155,11 +156,15 @@ class Problem:
     rows: list[ScalarRow]
     world: World | None
     dtype: Any
-    slots: list[Slots] = field(default_factory=list)
+    slots: Sequence[Slots] = ()
 
-    def detect(self) -> None:
-        """Find the active contacts."""
-        self.slots = [Slots.collect(contacts, self.touching) for contacts in self.sets]
+    def detect(self, *, places: bool = False) -> Problem:
+        """Return the problem with its active contacts.
+
+        places: whether the slots have the places of the contacts.
+        """
+        slots = [Slots.collect(x, self.touching, places=places) for x in self.sets]
+        return replace(self, slots=slots)
 
     @property
     def touching(self) -> World:

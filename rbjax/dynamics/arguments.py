@@ -101,7 +101,8 @@ def check_model(where: str, model: Any, fix: str = "for a batch of models, use j
 def check_static(where: str, kind: str, value: Any) -> None:
     """Raise `InputError` unless a static argument has the type that its kind requires.
 
-    The kinds are "body", "site", "integrator", "contact" and "dynamics". None and strings always pass.
+    The kinds are "body", "site", "integrator", "contact" and "dynamics". None and strings always
+    pass.
     """
     index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
     frame = kind == "body" and isinstance(value, Frame)

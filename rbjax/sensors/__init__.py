@@ -19,6 +19,7 @@ from rbjax.sensors.bodies import (
     SubtreeCenter,
     SubtreeVelocity,
 )
+from rbjax.sensors.cameras import CameraProjection
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.contact_forces import ContactForces
 from rbjax.sensors.frames import (
@@ -75,6 +76,7 @@ __all__ = [
     "Attitude",
     "BallAngularVelocity",
     "BallQuaternion",
+    "CameraProjection",
     "Clock",
     "Columns",
     "ContactForces",

@@ -128,6 +128,19 @@ def _inside_site(m: mujoco.MjModel, i: int) -> tuple:
     return _frame_of(m, _OBJECT.SITE, site), _volume_of(m, site), *_frame(m, i)
 
 
+def _projection(m: mujoco.MjModel, i: int) -> tuple:
+    """Return the camera, the site, and the focal lengths and the resolution in pixels."""
+    camera = int(m.sensor_refid[i])
+    width, height = m.cam_resolution[camera].tolist()
+    size = m.cam_sensorsize[camera].astype(float)
+    if size.all():
+        fx, fy = m.cam_intrinsic[camera, :2].astype(float) / size * (width, height)
+    else:
+        fx = fy = 0.5 * height / np.tan(np.radians(m.cam_fovy[camera]) / 2)
+    focal = (float(fx), float(fy))
+    return _frame_of(m, _OBJECT.CAMERA, camera), *_frame(m, i), focal, (width, height)
+
+
 def _rangefinder(m: mujoco.MjModel, i: int) -> tuple:
     if m.sensor_objtype[i] != _OBJECT.SITE:
         raise NotRead("rangefinders of cameras")
@@ -187,6 +200,7 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "force": (sensors.ForceSensor, _frame),
     "torque": (sensors.TorqueSensor, _frame),
     "magnetometer": (sensors.Magnetometer, _magnetometer),
+    "camprojection": (sensors.CameraProjection, _projection),
     "rangefinder": (sensors.Rangefinder, _rangefinder),
     "jointpos": (sensors.JointPosition, _object),
     "jointvel": (sensors.JointVelocity, _object),

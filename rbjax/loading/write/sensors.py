@@ -110,6 +110,20 @@ def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
     return _at_site(draft, sensor) | {"data": " ".join(sensor.data)}
 
 
+def _camera(draft: Draft, sensor: Any) -> dict[str, str]:
+    """Add a camera with the focal lengths of the sensor, one unit a pixel."""
+    body, placed = frame_transform(draft.model, named_frame(draft.model, sensor.frame), np.float64)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.array([float(x) for x in placed.R]))
+    name = unique(["camera"], [x.get("name", "") for x in draft.world.iter("camera")])[0]
+    size = text(np.array(sensor.resolution))
+    draft.add(
+        body, "camera", name=name, pos=text(np.array([float(x) for x in placed.p])),
+        quat=text(quat), resolution=size, sensorsize=size, focal=text(np.array(sensor.focal)),
+    )  # fmt: skip
+    return {"site": _site(draft, sensor.seen), "camera": name}
+
+
 def _relative(draft: Draft, sensor: Any) -> dict[str, str]:
     base = getattr(sensor, "reference", None)
     found = _frame(draft, sensor.frame)
@@ -142,6 +156,7 @@ Writer = Callable[[Draft, Any], dict[str, str] | None]
 _WRITERS: list[tuple[Any, Writer]] = [
     (sensors.Magnetometer, _magnetometer),
     (sensors.Rangefinder, _rangefinder),
+    (sensors.CameraProjection, _camera),
     ((sensors.Touch, sensors.InsideSite), _volume),
     ((sensors.Gyro, sensors.Velocimeter, sensors.Accelerometer), _at_site),
     ((sensors.ForceSensor, sensors.TorqueSensor), _at_site),
@@ -171,13 +186,14 @@ def sensors_differ(draft: Draft, again: Any, written: list[sensors.NamedSensor])
 def _facts(model: Any, sensor: Any) -> list:
     """Return the type of a sensor and its fields, the frames as bodies and rounded poses."""
     out: list = [type(sensor)]
-    for name in ("frame", "reference", "other"):
+    for name in ("frame", "reference", "other", "seen"):
         given = getattr(sensor, name, None)
         if given is not None:
             body, placed = frame_transform(model, named_frame(model, given), np.float64)
             out.append((body, *(round(float(x), 9) + 0.0 for x in (*placed.R, *placed.p))))
-    for name in ("field", "data", "volume"):
+    for name in ("field", "data", "volume", "resolution"):
         out.append(getattr(sensor, name, None))
+    out.append(np.round(getattr(sensor, "focal", 0.0), 3).tolist())  # MuJoCo keeps single precision
     if isinstance(sensor, JointLimitSensor):
         out.append(sensor.margin)
     if isinstance(sensor, TendonSensor):
