@@ -171,11 +171,11 @@ class SoftContact:
         """Compute the forces of all candidate contacts."""
         return self.solve(model, t, state, tau, f_ext).contacts
 
-    def check(self, where: str, model: Model) -> None:
-        """Raise InputError if the law has no parameters for a model."""
+    def check(self, where: str, model: Model, name: str = "mujoco") -> None:
+        """Raise InputError if the law of a name has no parameters for a model."""
         if model.solver is None or model.geoms is None:
             raise InputError(
-                f"{where}: contact='mujoco' needs the contact parameters of a file, and the model "
+                f"{where}: contact={name!r} needs the contact parameters of a file, and the model "
                 "has none; load it by rb.load, or build it by rb.ModelBuilder"
             )
         check_soft(where, model)

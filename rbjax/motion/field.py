@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -131,7 +132,8 @@ class Field:
 
     @property
     def _model_of_dynamics(self) -> Model:
-        own = self.dynamics is free_motion or isinstance(self.dynamics, Formulation | SoftContact)
+        laws = Formulation | SoftContact | CoulombContact
+        own = self.dynamics is free_motion or isinstance(self.dynamics, laws)
         return self.precomputed if own else self.model
 
     def forces(
