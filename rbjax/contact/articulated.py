@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.problem import inertia_of_row, stacked
-from rbjax.contact.scalar_rows import ScalarRow
+from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.lanes import Lane, add, mul, unpack

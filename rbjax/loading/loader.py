@@ -32,7 +32,7 @@ from rbjax.forces.context import Context
 from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_cancel
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
-from rbjax.loading.mjcf.constraints import constraints_of
+from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
 from rbjax.loading.mjcf.contacts import (
     check_geoms,
     closed_pairs,
@@ -85,15 +85,16 @@ def load(
         limits: load the joint limits as compliant stops (`rbjax.forces.JointLimits`).
         friction: load the friction loss of joints as `rbjax.forces.JointFriction`.
         motors: add a motor of gear 1, with the joint's name, to each hinge and slide without one.
-        constraints: load connects, welds, joint equalities and mimics as rigid constraints
-            (`model.constraints`).
+        constraints: load connects, welds, joint and tendon equalities and mimics as rigid
+            constraints (`model.constraints`).
         compliant: make the equalities compliant by MuJoCo's solref and solimp
-            (`rbjax.constraints.Soft`); mimics stay rigid.
-        contacts: take the contacts, joint limits, friction loss and equalities of the file as one
-            problem, as MuJoCo does (`model.contact = "mujoco"`). Limits and friction loss that are
-            loaded as elements are not in it. A robot that has only equalities, or none of these,
-            has `model.contact = None`. False: the robot touches nothing. `model.dropped` names the
-            pairs of geoms that have no closed form.
+            (`rbjax.constraints.Soft`); mimics stay rigid unless the model has a contact law.
+        contacts: take the contacts, limits, friction loss and equalities of the file as one
+            problem, as MuJoCo does (`model.contact = "mujoco"`). All equalities and mimics are then
+            compliant. Limits and friction loss that are loaded as elements are not in it. A robot
+            without contacts, limits and friction loss has `model.contact = None` and rigid
+            equalities. False: the robot touches nothing. `model.dropped` names the pairs of geoms
+            that have no closed form.
 
     Returns:
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
@@ -156,8 +157,10 @@ def load(
         warnings.warn(text, stacklevel=2)
     with jax.ensure_compile_time_eval():  # numbers of a file are constants in jit too
         model = from_compiled(compiled, dropped, **taken, compliant=compliant)
-    if constraints:
-        model = model.with_constraints(*mimics.couplings)
+        couplings = mimics.couplings if constraints else ()
+        if model.contact is not None:
+            couplings = tuple(soft_mimic(compiled, one) for one in couplings)
+    model = model.with_constraints(*couplings)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
@@ -250,7 +253,7 @@ def from_compiled(
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
         forces=(*elastic, *others),
-        constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        constraints=constraints_of(m, compliant=compliant or contacts) if constraints else (),
         sensors=read_sensors(m)[0],
     )
 
