@@ -67,12 +67,12 @@ def test_info_as_json() -> None:
 
 def test_info_lists_what_is_left_out(tmp_path: Path) -> None:
     file = tmp_path / "limited.xml"
-    joint = '<joint name="j" limited="true" range="-1 1"/>'
+    joint = '<joint name="j"/>'
     file.write_text(
         f"<mujoco><compiler angle='radian'/><worldbody><body>{joint}"
-        "<geom size='0.1'/></body></worldbody></mujoco>"
+        "<geom size='0.1'/><camera name='eye'/></body></worldbody></mujoco>"
     )
-    assert json.loads(run("info", str(file), "--json").stdout)["dropped"] == ["joint limits (j)"]
+    assert json.loads(run("info", str(file), "--json").stdout)["dropped"] == ["cameras (eye)"]
 
 
 def test_validate_as_json() -> None:

@@ -163,12 +163,12 @@ class Problem:
     dtype: Any
     slots: Sequence[Slots] = ()
 
-    def detect(self, *, places: bool = False) -> Problem:
+    def detect(self, *, gap: bool = False) -> Problem:
         """Return the problem with its active contacts.
 
-        places: whether the slots have the places of the contacts.
+        gap: whether to include the contacts in the gap, which have no force.
         """
-        slots = [Slots.collect(x, self.touching, places=places) for x in self.sets]
+        slots = [Slots.collect(x, self.touching, gap=gap) for x in self.sets]
         return replace(self, slots=slots)
 
     @property

@@ -96,7 +96,7 @@ def solution_at(
     def plain(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
         model, f_ext, dt, t = rebuilt(changed)
         assembly = Assembly(model, q, v, dt, t)
-        problem = assembly.problem(tau, f_ext).detect(places=True)
+        problem = assembly.problem(tau, f_ext).detect(gap=True)
         names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
         found = solve(problem, iterations=iterations)
         contacts = rows_of_slots(problem, found, assembly.origin)

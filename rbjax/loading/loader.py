@@ -72,7 +72,7 @@ def load(
     motors: bool = False,
     constraints: bool = True,
     compliant: bool = False,
-    contacts: bool = False,
+    contacts: bool = True,
 ) -> Model:
     """Load a `Model` from an MJCF or URDF file.
 
