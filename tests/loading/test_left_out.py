@@ -29,12 +29,14 @@ def arm(limits: tuple[float, float] | None = None, extra: str = "", collides: bo
 ENTRIES = {
     "sensors of the kind user (g)": (
         "rbjax.sensors.CustomSensor", mjcf(BODY.format(""), extra=USER), None),
-    "cameras (eye)": (None, mjcf('<camera name="eye"/>' + BODY.format("")), None),
     "joint limits (j)": (
-        "load(contacts=True) or load(limits=True)", mjcf(BODY.format('range="0 1" limited="true"')), {"limits": True}),
+        "load(contacts=True) or load(limits=True)",
+        mjcf(BODY.format('range="0 1" limited="true"')), {"limits": True}),
     "joint friction loss (j)": (
-        "load(contacts=True) or load(friction=True)", mjcf(BODY.format('frictionloss="1"')), {"friction": True}),
-    "collision shapes of links (arm)": ("contacts", arm(collides=True), {"contacts": True, "floating_base": False}),
+        "load(contacts=True) or load(friction=True)",
+        mjcf(BODY.format('frictionloss="1"')), {"friction": True}),
+    "collision shapes of links (arm)": (
+        "contacts", arm(collides=True), {"contacts": True, "floating_base": False}),
     "fixed root link, whose mass does not count (base)": (
         "load(floating_base=True)", arm(), {"floating_base": True}),
     "joint limits whose lower end is above the upper one (turn)": ("swap", arm((2, 1)), None),
