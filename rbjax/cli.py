@@ -305,6 +305,9 @@ def validate(
     states: Annotated[int, typer.Option(help="Random states.")] = 20,
     mjx: Annotated[bool, typer.Option(help="Run MJX too.")] = True,
     gradient: Annotated[bool, typer.Option(help="Compare gradients too.")] = True,
+    contacts: Annotated[
+        bool, typer.Option("--contacts", help="Compare contacts, limits and friction loss.")
+    ] = False,
     floating_base: Floating = False,
 ) -> None:
     """Compare a robot with MuJoCo C and MJX; exit code 1 when rbjax is out of tolerance."""
@@ -316,6 +319,7 @@ def validate(
             states=states,
             mjx=mjx,
             gradient=gradient,
+            contacts=contacts,
             floating_base=floating_base,
             progress=lambda stage: say(f"{Path(file).name}: {stage}"),
         )
