@@ -101,7 +101,7 @@ class Assembly:
         rigid."""
         world = all(WORLD in pair for pair in self.touching.link_pairs)
         rigid = all(is_zero(x) for x in jax.tree.leaves([joint.modal for joint in self.joints]))
-        return rigid and world and all(len(row.J) == 1 for row in self._rows)
+        return rigid and world and all(len(row.J) <= 1 for row in self._rows)
 
     def _tree(self) -> Tree | ArticulatedTree:
         links = self.touching.links, self.touching.link_pairs

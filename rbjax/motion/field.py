@@ -212,6 +212,12 @@ def dynamics_of(
     check_model(where, model)
     if dynamics is free_motion:
         law = model.contact
+        if law is not None and constraints is not None:
+            raise InputError(
+                f"{where}: got constraints={constraints!r} and a model with contact={law!r}, whose "
+                "law solves contacts and soft constraints together; leave constraints out, or "
+                "leave contacts out by model.replace(contact=None)"
+            )
         if law is not None:
             return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -186,3 +188,42 @@ def test_mimics_are_soft() -> None:
     mujoco.mj_forward(m, d)
     found = jax.jit(lambda q, v: rb.acceleration(model, State(q, v)))(q, v)
     assert relative_error(found, d.qacc) < F64_PARITY
+
+
+def test_time_dependent_constraint() -> None:
+    """Without contacts the problem has the solution of the formulation "compliant"."""
+    bodies = """<body pos="0 0 1"><joint name="j" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/></body>"""
+    m = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    model = rb.load(m, contacts=True)
+    swing = rb.constraints.Prescribed("j", lambda t: 0.3 * jnp.sin(2 * t))
+    model = model.with_constraints(rb.constraints.Soft.on(model, swing, solref=(0.05, 1.0)))
+    state = State(jnp.array([0.2]), jnp.array([0.5]))
+    run = jax.jit(lambda t: rb.acceleration(model, state, t=t))
+    free = model.replace(contact=None)
+    for t in (0.0, 0.7):
+        want = rb.acceleration(free, state, t=t, constraints="compliant")
+        assert relative_error(run(t), want) < F64_IDENTITY
+    slope = jax.jvp(run, (0.7,), (1.0,))[1]
+    assert relative_error(slope, (run(0.7 + 1e-6) - run(0.7 - 1e-6)) / 2e-6) < 10 * GRADIENT
+
+
+CASSIE = Path(__file__).parents[4] / "shared" / "data" / "cassie"  # beside the repository
+FOOT = """<geom type="capsule" size="0.02" fromto="-.0528 .0926 0 .0697 -.0102 0" contype="2"
+  conaffinity="0"/>"""
+
+
+@pytest.mark.skipif(not CASSIE.exists(), reason=f"{CASSIE} is not there")
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_cassie_on_the_ground(cone: str) -> None:
+    """Four loops, limits, springs and feet on the floor."""
+    text = (CASSIE / "cassie.xml").read_text()
+    text = text.replace("<option", f'<option cone="{cone}" tolerance="0"')
+    text = text.replace("<worldbody>", f"<worldbody>{FLOOR}", 1)
+    for side in ("left", "right"):
+        at = text.index("<joint", text.index(f'<body name="{side}-foot"'))
+        text = text[:at] + FOOT + text[at:]
+    m = mujoco.MjModel.from_xml_string(text)
+    m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
+    m.opt.timestep = 0.002
+    assert compare(m, steps=400, every=20) >= 2
