@@ -1,6 +1,7 @@
 """Contacts of geoms: which pairs may touch, where, how far they are apart, and laws of contact.
 
     detect             candidate contacts at a configuration
+    solve              acceleration and forces of soft contact, with the report of the solver
     impulse            velocity after an impact (Newton's or energetic restitution)
     SoftContact        MuJoCo's soft contact
     CompliantContact   force element: Hunt-Crossley and smooth friction
@@ -14,9 +15,12 @@ from rbjax.contact.impacts.impulses import Impulse, impulse
 from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
+from rbjax.contact.solution import ContactSolution
+from rbjax.contact.solve import solve
 
 __all__ = [
     "CompliantContact",
+    "ContactSolution",
     "Contacts",
     "Impulse",
     "MoreauContact",
@@ -25,4 +29,5 @@ __all__ = [
     "impulse",
     "laws",
     "pairs",
+    "solve",
 ]

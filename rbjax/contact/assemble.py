@@ -64,11 +64,13 @@ class Touching(NamedTuple):
 class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
-    The origin is the last link of the first body that moves.
+    The origin is the last link of the first body that moves. `dt` is the step in s, None for the
+    model's timestep.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array):
+    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None):
         self.model, self.q, self.v, self.top = model, q, v, model.topology
+        self.dt = model.timestep if dt is None else dt
         self.d = Unrolled(model, prepare(model, q.dtype))
         self.joints = self.d.joints(q, v)
         poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
@@ -171,7 +173,7 @@ class Assembly:
     def _options(self) -> Options:
         own: Any = self.model.solver
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
-        return Options(own.cone == "elliptic", impratio, self.model.timestep, own.refsafe)
+        return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe)
 
     def _rows(self) -> list[ScalarRow]:
         """Return the rows of limits and friction loss."""
@@ -180,7 +182,8 @@ class Assembly:
         for i in own.rubbing:
             solref, solimp = _row(own.friction_solref, i), _row(own.friction_solimp, i)
             D, a = self._row(0.0, self.v[i], i, solref, solimp)
-            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, lane(own.frictionloss, i)))
+            floss = lane(own.frictionloss, i)
+            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, floss, ("dof", i)))
         return rows
 
     def _limits(self, own: Any, j: int) -> list[ScalarRow]:
@@ -197,7 +200,7 @@ class Assembly:
             r = jnp.where(active, distance - margin, 0.0)
             rate = total(mul(x, self.v[n]) for n, x in J.items())
             D, a = self._row(r, rate, i, _row(own.limit_solref, j), _row(own.limit_solimp, j))
-            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a))
+            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a, 0.0, ("joint", j)))
         return rows
 
     def _row(

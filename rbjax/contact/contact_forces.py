@@ -1,20 +1,23 @@
-"""Contact forces: the rows of all candidates at a solution of the contact problem."""
+"""Contact forces at a solution of the contact problem, from its slots or from all candidates.
+
+The slots hold the contacts that the solver has found. A loop over all candidates runs the narrow
+phase again, and has derivatives in reverse mode.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_rows import ContactSet
+from rbjax.contact.contact_rows import ContactSet, Slots, place_of
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.geometry.shapes import contact_frame
-from rbjax.contact.problem import residual
-from rbjax.dynamics.algorithms.rnea import LinkForces
-from rbjax.lanes import Vec3
+from rbjax.contact.newton import Solution
+from rbjax.contact.problem import Problem, residual
+from rbjax.lanes import Lane, Vec3, pack, unpack
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.spatial import Force
@@ -30,8 +33,10 @@ class ContactForces(Record):
         frame: (n, 3, 3) axes row by row in world axes: the normal from the first geom to the
             second, and two tangents.
         force: (n, 6) [force N; torque N m] of the first geom on the second, in the axes of the
-            contact; zero if the contact does not exist.
+            contact.
         geoms: the two geoms of each row, by index; static.
+
+    The distance of a contact that does not exist is infinite. Its other numbers are zero.
     """
 
     exists: jax.Array
@@ -61,37 +66,89 @@ class ContactForces(Record):
         return Force(torque, force)
 
 
-def contact_forces(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None, a: jax.Array
-) -> ContactForces:
-    """Compute the contact forces at the acceleration a (nv,) that solves the contact problem."""
-    assembly = Assembly(model, q, v)
-    problem, d = assembly.problem(tau, f_ext), assembly.d
-    twists = problem.tree.twists(d.lanes(a), problem.dtype)
-    found, geoms = [], []
+def geoms_of_rows(model: Model, sets: Sequence[ContactSet]) -> tuple[tuple[int, int], ...]:
+    """Return the two geoms of each candidate contact of all sets."""
+    pairs = model.geoms.pairs if sets else ()  # type: ignore[union-attr]
+    return tuple(
+        pairs[k]
+        for contacts in sets
+        for kind, members in contacts.kinds.items()
+        for k in members
+        for _ in range(COUNTS[kind.kinds])
+    )
+
+
+def rows_of_slots(
+    problem: Problem, solution: Solution, origin: Vec3
+) -> tuple[jax.Array, list[Lane]]:
+    """Compute the rows of `contact_forces` and J^T f from the slots, which have their places."""
+    found, wrenches = [], _no_wrenches(problem)
+    for contacts, slots, r in zip(problem.sets, problem.slots, solution.residuals, strict=True):
+
+        def store(
+            k: Any, carry: tuple, of: ContactSet = contacts, slots: Slots = slots, r: Any = r
+        ) -> tuple:
+            row, places, (rows, wrenches) = slots.row(k, of.dim), slots.places, carry
+            assert places is not None
+            f = of.cone(row).response([r[k, i] for i in range(of.dim)]).f
+            values = _row(unpack(places.rows[k]), origin, f, rows[0])
+            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            return rows.at[places.candidates[k]].set(values), wrenches
+
+        none = _no_contacts(contacts, problem.dtype)
+        rows, wrenches = slots.fold(store, (none, wrenches))
+        found.append(rows)
+    return _joined(found, problem.dtype), _generalized(problem, wrenches)
+
+
+def rows_of_candidates(
+    problem: Problem, a: list[Lane], origin: Vec3
+) -> tuple[jax.Array, list[Lane]]:
+    """Compute the rows of `contact_forces` and J^T f from all candidates, at an acceleration a."""
+    found, wrenches = [], _no_wrenches(problem)
+    twists = problem.tree.twists(a, problem.dtype)
     for contacts in problem.sets:
-        n = contacts.candidates
 
         def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
-            k, rows, exists = carry
+            k, rows, wrenches = carry
             f = of.cone(row).response(residual(of, row, twists)).f
-            contact, zeros = row.contact, [0.0] * (6 - of.dim)
-            axes = contact_frame(contact.normal, contact.tangent)
-            lanes = [contact.distance, *(contact.position + assembly.origin)]
-            lanes += [x for axis in axes for x in axis] + [*f, *zeros]
-            values = jnp.stack([jnp.asarray(x, rows.dtype) for x in lanes])
-            return k + 1, rows.at[k].set(values), exists.at[k].set(active)
+            values = jnp.where(active, _row(place_of(row), origin, f, rows[0]), rows[k])
+            f = [jnp.where(active, x, 0.0) for x in f]
+            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            return k + 1, rows.at[k].set(values), wrenches
 
-        start = (jnp.int32(0), jnp.zeros((n, 19), problem.dtype), jnp.zeros(n, bool))
-        _, rows, exists = contacts.scan(problem.touching, store, start)
-        forces = jnp.where(exists[:, None], rows[:, 13:], 0.0)
-        found.append((exists, rows[:, 0], rows[:, 1:4], rows[:, 4:13].reshape(n, 3, 3), forces))
-        pairs = model.geoms.pairs  # type: ignore[union-attr]
-        geoms += [pairs[k] for kind, at in contacts.kinds.items() for k in at
-                  for _ in range(COUNTS[kind.kinds])]  # fmt: skip
-    if not found:
-        none = jnp.zeros((0, 3), problem.dtype)
-        frame, force = jnp.zeros((0, 3, 3), problem.dtype), jnp.zeros((0, 6), problem.dtype)
-        return ContactForces(none[:, 0] > 0, none[:, 0], none, frame, force, ())
-    exists, distance, position, frame, force = map(jnp.concatenate, zip(*found, strict=True))
-    return ContactForces(exists, distance, position, frame, force, tuple(geoms))
+        start = jnp.int32(0), _no_contacts(contacts, problem.dtype), wrenches
+        _, rows, wrenches = contacts.scan(problem.touching, store, start)
+        found.append(rows)
+    return _joined(found, problem.dtype), _generalized(problem, wrenches)
+
+
+def contact_forces(rows: jax.Array, geoms: tuple[tuple[int, int], ...]) -> ContactForces:
+    """Return the contact forces of rows (n, 20): whether the contact exists, distance, position,
+    axes and forces."""
+    frame = rows[:, 5:14].reshape(len(geoms), 3, 3)
+    return ContactForces(rows[:, 0] > 0, rows[:, 1], rows[:, 2:5], frame, rows[:, 14:], geoms)
+
+
+def _row(place: Sequence[Lane], origin: Vec3, f: Sequence[Lane], like: jax.Array) -> jax.Array:
+    """Return the row of a contact from its place about the origin and its forces."""
+    distance, *rest = place
+    position = Vec3(*rest[:3]) + origin
+    return pack([1.0, distance, *position, *rest[3:], *f, *[0.0] * (6 - len(f))], like)
+
+
+def _no_contacts(contacts: ContactSet, dtype: Any) -> jax.Array:
+    return jnp.zeros((contacts.candidates, 20), dtype).at[:, 1].set(jnp.inf)
+
+
+def _no_wrenches(problem: Problem) -> jax.Array:
+    return jnp.zeros((len(problem.tree.touching) + 1, 6), problem.dtype)
+
+
+def _generalized(problem: Problem, wrenches: jax.Array) -> list[Lane]:
+    tree = problem.tree
+    return tree.generalized(wrenches) if tree.touching else [0.0] * len(problem.rhs)
+
+
+def _joined(found: list[jax.Array], dtype: Any) -> jax.Array:
+    return jnp.concatenate(found) if found else jnp.zeros((0, 20), dtype)

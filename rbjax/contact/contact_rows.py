@@ -222,6 +222,39 @@ class ContactSet:
         return float(found) if isinstance(found, np.generic) else found.astype(self.dtype)
 
 
+class Places(NamedTuple):
+    """The places of the contacts in slots.
+
+    Fields:
+        scanned: the number of candidates so far.
+        candidates: (n,) index of the candidate of each slot.
+        rows: (n, 13) distance, position about the origin, and axes of each slot.
+    """
+
+    scanned: jax.Array
+    candidates: jax.Array
+    rows: jax.Array
+
+    @classmethod
+    def empty(cls, n: int, dtype: Any) -> Places:
+        """Return the places of n empty slots."""
+        return cls(jnp.int32(0), jnp.zeros(n, jnp.int32), jnp.zeros((n, 13), dtype))
+
+    def store(self, k: Any, row: Row) -> Places:
+        """Store the place of the next candidate in slot k."""
+        values = pack(place_of(row), self.rows[0])
+        candidates = self.candidates.at[k].set(self.scanned)
+        return Places(self.scanned + 1, candidates, self.rows.at[k].set(values))
+
+
+def place_of(row: Row) -> list[Lane]:
+    """Return distance, position about the origin, and axes of a contact, 13 lanes."""
+    contact = row.contact
+    assert contact is not None
+    axes = contact_frame(contact.normal, contact.tangent)
+    return [contact.distance, *contact.position, *(x for axis in axes for x in axis)]
+
+
 class Slots(NamedTuple):
     """The active contacts of a set, in consecutive slots.
 
@@ -229,15 +262,20 @@ class Slots(NamedTuple):
         length: the number of active contacts.
         rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
         pairs: (n,) the pair of geoms of each slot.
+        places: the places of the contacts, or None.
     """
 
     length: jax.Array
     rows: jax.Array
     pairs: jax.Array
+    places: Places | None = None
 
     @classmethod
-    def collect(cls, contacts: ContactSet, world: World) -> Slots:
-        """Run the narrow phase of a set and store the active contacts."""
+    def collect(cls, contacts: ContactSet, world: World, *, places: bool = False) -> Slots:
+        """Run the narrow phase of a set and store the active contacts.
+
+        places: whether to store the places of the contacts too.
+        """
         n, m, dtype = contacts.candidates, 7 * contacts.dim + 1, world.geoms.dtype
         like = jnp.zeros(m, dtype)
 
@@ -247,9 +285,11 @@ class Slots(NamedTuple):
             values = pack([*lanes, row.D, *row.reference], like)
             rows = slots.rows.at[slots.length].set(values)
             pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
-            return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs)
+            at = None if slots.places is None else slots.places.store(slots.length, row)
+            return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs, at)
 
-        none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32))
+        at = Places.empty(n, dtype) if places else None
+        none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32), at)
         return contacts.scan(world, store, none)
 
     def row(self, k: Any, dim: int) -> Row:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import Problem, add_row, residual
+from rbjax.contact.problem import Problem, add_row
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, total, unpack
 from rbjax.lanes.factorization import LDLT
 
@@ -39,11 +39,13 @@ class Solution(NamedTuple):
         x: (nv,) acceleration.
         iterations: the number of Newton steps.
         error: relative gradient at x; the iteration has converged if it is at most the tolerance.
+        residuals: (n, dim) J x - a_ref of the slots of each set.
     """
 
     x: jax.Array
     iterations: jax.Array
     error: jax.Array
+    residuals: list[jax.Array]
 
 
 class _Iterate(NamedTuple):
@@ -73,7 +75,7 @@ def tolerance_of(dtype: Any) -> float:
 def solve(
     problem: Problem, *, iterations: int = ITERATIONS, tolerance: float | None = None
 ) -> Solution:
-    """Minimise the cost. `problem.detect` must have run."""
+    """Minimise the cost of a problem with its active contacts (`Problem.detect`)."""
     bound = tolerance_of(problem.dtype) if tolerance is None else tolerance
 
     def unfinished(at: _Iterate) -> jax.Array:
@@ -87,21 +89,12 @@ def solve(
         return moved._replace(iterations=at.iterations + 1)
 
     at = jax.lax.while_loop(unfinished, step, _start(problem))
-    return Solution(at.x, at.iterations - 1, at.error)
+    return Solution(at.x, at.iterations - 1, at.error, at.residuals)
 
 
-def factorize_at(problem: Problem, x: jax.Array) -> LDLT:
-    """Factorize the Hessian at x."""
-    twists = problem.tree.twists(unpack(x), problem.dtype)
-    residuals = []
-    for contacts, slots in zip(problem.sets, problem.slots, strict=True):
-
-        def evaluate(k: Any, r: jax.Array, of: Any = contacts, slots: Any = slots) -> jax.Array:
-            return r.at[k].set(jnp.stack(residual(of, slots.row(k, of.dim), twists)))
-
-        none = jnp.zeros((slots.rows.shape[0], contacts.dim), problem.dtype)
-        residuals.append(slots.fold(evaluate, none))
-    at = _start(problem)._replace(x=x, residuals=residuals)
+def factorize_at(problem: Problem, solution: Solution) -> LDLT:
+    """Factorize the Hessian at a solution."""
+    at = _start(problem)._replace(x=solution.x, residuals=solution.residuals)
     return _factors(problem, at, _evaluate(problem, at))
 
 

@@ -13,7 +13,7 @@ couples the two paths from their nearest common ancestor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -136,7 +136,7 @@ def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
     return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Problem:
     """The convex problem at a state.
 
@@ -147,6 +147,7 @@ class Problem:
         rows: limits, friction loss and equalities.
         world: geoms and twists, for the narrow phase.
         dtype: of all arrays.
+        slots: the active contacts of each set; empty before `detect`.
     """
 
     tree: Any
@@ -155,11 +156,15 @@ class Problem:
     rows: list[ScalarRow]
     world: World | None
     dtype: Any
-    slots: list[Slots] = field(default_factory=list)
+    slots: Sequence[Slots] = ()
 
-    def detect(self) -> None:
-        """Find the active contacts."""
-        self.slots = [Slots.collect(contacts, self.touching) for contacts in self.sets]
+    def detect(self, *, places: bool = False) -> Problem:
+        """Return the problem with its active contacts.
+
+        places: whether the slots have the places of the contacts.
+        """
+        slots = [Slots.collect(x, self.touching, places=places) for x in self.sets]
+        return replace(self, slots=slots)
 
     @property
     def touching(self) -> World:

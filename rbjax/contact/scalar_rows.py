@@ -30,6 +30,7 @@ class ScalarRow(NamedTuple):
         D: the inverse regularization; 0 if the row is not active.
         reference: the reference acceleration a_ref.
         floss: the friction loss.
+        source: "joint", "dof", "tendon" or "constraint", and its index in the model.
     """
 
     kind: str
@@ -37,6 +38,7 @@ class ScalarRow(NamedTuple):
     D: Lane
     reference: Lane
     floss: Lane = 0.0
+    source: tuple[str, int] = ("dof", 0)
 
     def along(self, x: list[Lane]) -> Lane:
         """Compute J x."""

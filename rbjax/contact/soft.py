@@ -9,61 +9,116 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_forces import ContactForces, contact_forces
+from rbjax.contact.contact_forces import (
+    ContactForces,
+    geoms_of_rows,
+    rows_of_candidates,
+    rows_of_slots,
+)
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.problem import Problem
+from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
 from rbjax.dynamics.algorithms.rnea import LinkForces
-from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
+from rbjax.dynamics.tracing.custom_rules import (
+    jax_arrays,
+    jvp_of,
+    split_tracers,
+    with_implicit_jvp,
+    with_jvp,
+)
 from rbjax.errors import InputError
-from rbjax.lanes import batch_first
+from rbjax.lanes import batch_first, unpack
 from rbjax.model import Model, State
 
 
 def detected(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None
-) -> Problem:
-    """Return the contact problem of a model, with its active contacts."""
-    problem = Assembly(model, q, v).problem(tau, f_ext)
-    problem.detect()
-    return problem
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
+    dt: Any = None,
+) -> Problem:  # fmt: skip
+    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
+    for the model's timestep."""
+    problem = Assembly(model, q, v, dt).problem(tau, f_ext)
+    return problem.detect()
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS,
-) -> jax.Array:  # fmt: skip
-    """Compute the acceleration (nv,) with contacts, limits and friction loss.
+    iterations: int = ITERATIONS, dt: Any = None,
+) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    """Compute the acceleration (nv,) with contacts, limits and friction loss. Return with it the
+    number of Newton steps, as a real number, and the error of the solution.
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
     The features of geoms that touch are held constant.
     """
-    given, rebuilt = split_tracers((model, f_ext))
+    given, rebuilt = split_tracers((model, f_ext, dt))
 
     def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
-        model, f_ext = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext)
+        model, f_ext, dt = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, dt)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
-        return batch_first((solved_at(*at)[1].x,), at)
+        return batch_first(_with_report(solved_at(*at)[1]), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
-        factors = factorize_at(problem, found.x)
+        factors = factorize_at(problem, found)
 
         def change(b):
             return jnp.stack([jnp.asarray(y, b.dtype) for y in factors.solve(list(b))])
 
-        return (found.x,), [change]
+        return _with_report(found), [change]
 
     def residual(changed, q, v, tau, a):
-        model, f_ext = rebuilt(changed)
-        assembly = Assembly(model, q, v)
+        model, f_ext, dt = rebuilt(changed)
+        assembly = Assembly(model, q, v, dt)
         problem, d = assembly.problem(tau, f_ext), assembly.d
         pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
-    return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))[0]
+    return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
+
+
+def _with_report(found: Solution) -> tuple[jax.Array, jax.Array, jax.Array]:
+    return found.x, found.iterations.astype(found.x.dtype), found.error
+
+
+def solution_at(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
+    iterations: int = ITERATIONS, dt: Any = None,
+) -> ContactSolution:  # fmt: skip
+    """Solve the contact problem at a state under applied forces.
+
+    The values share one narrow phase. The derivatives of the acceleration are implicit. Those of
+    the forces follow from it through all candidates.
+    """
+    given, rebuilt = split_tracers((model, f_ext, dt))
+    names: list[tuple] = []  # of the rows, which are known after tracing
+
+    def plain(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
+        model, f_ext, dt = rebuilt(changed)
+        assembly = Assembly(model, q, v, dt)
+        problem = assembly.problem(tau, f_ext).detect(places=True)
+        names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
+        found = solve(problem, iterations=iterations)
+        contacts = rows_of_slots(problem, found, assembly.origin)
+        return SolutionArrays.of(problem, contacts, *_with_report(found))
+
+    def differentiable(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
+        model, f_ext, dt = rebuilt(changed)
+        a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt)
+        assembly = Assembly(model, q, v, dt)
+        problem = assembly.problem(tau, f_ext)
+        contacts = rows_of_candidates(problem, unpack(a), assembly.origin)
+        return SolutionArrays.of(problem, contacts, a, *report)
+
+    def rule(primals: tuple, tangents: tuple) -> tuple:
+        value, rate = jvp_of(differentiable, primals, tangents)
+        return value, jax.tree.map(jnp.zeros_like, value) if rate is None else rate
+
+    found = with_jvp(plain, rule)(given, q, v, tau)
+    return found.solution(*names)
 
 
 @dataclass(frozen=True)
@@ -71,12 +126,13 @@ class SoftContact:
     """MuJoCo's law of contact, limits and friction loss, as a `Dynamics`.
 
     The acceleration minimises Gauss' principle with soft constraints. Results equal those of MuJoCo
-    with Newton's method at tolerance 0. The least time constant of a contact is two of
-    `model.timestep`.
+    with Newton's method at tolerance 0. The least time constant of a contact is two steps.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
             best acceleration that was found; `rb.contact.solve` reports its error.
+        dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
+            timestep.
 
     Source: Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*,
     2014; MuJoCo, *Computation*.
@@ -88,19 +144,26 @@ class SoftContact:
     """
 
     iterations: int = ITERATIONS
+    dt: Any = None
 
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        return contact_acceleration(model, state.q, state.v, tau, f_ext, self.iterations)
+        given = state.q, state.v, tau, f_ext, self.iterations, self.dt
+        return contact_acceleration(model, *given)[0]
+
+    def solve(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None
+    ) -> ContactSolution:
+        """Compute the acceleration with all forces, and the report of the solver."""
+        return solution_at(model, state.q, state.v, tau, f_ext, self.iterations, self.dt)
 
     def contact_forces(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> ContactForces:
         """Compute the forces of all candidate contacts."""
-        a = self(model, t, state, tau, f_ext)
-        return contact_forces(model, state.q, state.v, tau, f_ext, a)
+        return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model) -> None:
         """Raise InputError if the law has no parameters for a model."""

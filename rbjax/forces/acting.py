@@ -23,6 +23,7 @@ from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.joints.polynomials import linear_springs
+from rbjax.forces.slopes import Slope
 from rbjax.forces.tendons.springs import tendon_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.lanes.arrays import pack
@@ -51,21 +52,35 @@ def element_contexts(model: Model, context: Context) -> list[tuple[Element, Cont
 
 def loads(model: Model, context: Context) -> tuple[list[Lane], LinkForces]:
     """Sum the generalized forces, one lane per dof, and the forces on links."""
-    passive, driven, later = Loads(), Loads(), []
+    passive, later = Loads(), []
     found = element_contexts(model, context)
-    scales = {} if context.ctrl is None else tendon_scales(model, found)
     for element, seen in found:
         if element.after_actuators:
             later.append((element, seen))
         elif not element.actuates:
             passive = passive + _given(element, seen)
-        elif context.ctrl is not None:
-            driven = driven + _given(element, replace(seen, scales=scales) if scales else seen)
-    driven = _limited(model, driven, context)
+    driven = _limited(model, _driven(model, found), context)
     for element, seen in later:
         passive = passive + _given(element, replace(seen, driven=driven.tau))
     tau = [add(passive.tau.get(i, 0.0), driven.tau.get(i, 0.0)) for i in range(model.nv)]
     return tau, (passive + Loads({}, driven.wrenches)).wrenches
+
+
+def _driven(model: Model, found: list[tuple[Element, Context]]) -> Loads:
+    """Sum the forces of the actuators, before they are clipped to the force ranges of joints."""
+    driven = Loads()
+    for element, seen in _actuators(model, found):
+        driven = driven + _given(element, seen)
+    return driven
+
+
+def _actuators(model: Model, found: list[tuple[Element, Context]]) -> list[tuple[Element, Context]]:
+    """List the actuators, with contexts that contain the scales of tendons."""
+    if not found or found[0][1].ctrl is None:
+        return []
+    scales = tendon_scales(model, found)
+    acting = [(e, seen) for e, seen in found if e.actuates and not e.after_actuators]
+    return [(e, replace(seen, scales=scales) if scales else seen) for e, seen in acting]
 
 
 def _given(element: Element, seen: Context) -> Loads:
@@ -103,14 +118,21 @@ def _limited(model: Model, driven: Loads, context: Context) -> Loads:
     """Clip the sum of the actuator forces to the force ranges of the joints."""
     top, limits = model.topology, table(model.joints.forcerange, context.v.dtype)
     endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
-    if driven.wrenches and not endless:  # site forces also count towards the limits of joints
-        summed = context.generalized_of(driven.wrenches)
-        driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
-    tau = dict(driven.tau)
+    if endless:
+        return driven
+    tau = _summed(driven, context)
     for j, (joint, at) in enumerate(zip(top.joints, top.joint_v, strict=True)):
         if joint.nv == 1 and not is_zero(tau.get(at, 0.0)):
             tau[at] = clip(tau[at], limits, j)
-    return Loads(tau, driven.wrenches)
+    return Loads(tau)
+
+
+def _summed(driven: Loads, context: Context) -> dict[int, Lane]:
+    """Sum the generalized forces of actuators; forces at sites count for the limits of joints."""
+    if driven.wrenches:
+        summed = context.generalized_of(driven.wrenches)
+        driven = Loads(driven.tau) + Loads(dict(enumerate(summed)))
+    return dict(driven.tau)
 
 
 def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
@@ -128,14 +150,44 @@ def states(model: Model, context: Context, dt: Any = None) -> jax.Array | None:
     return pack(found, context.x)
 
 
-def implicit_stiffness(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
-    """Sum `Element.implicit_stiffness` by dof, without structural zeros."""
+def slopes(
+    model: Model, t: Any, state: State, ctrl: Any, dt: Any = None, *, of: type[Element] = Element
+) -> list[Slope]:
+    """List the stiffness and damping of all forces, or of the elements of a class.
+
+    An actuator on a joint whose actuator forces are at a limit has none, as in MuJoCo.
+    """
+    context = Context.of(model, t, state, ctrl, dt)
+    found = element_contexts(model, context)
+    out = [x for e, seen in found if isinstance(e, of) and not e.actuates for x in e.slopes(seen)]
+    if not issubclass(Actuator, of):
+        return out
+    free = _unsaturated(model, found, context)
+    for element, seen in _actuators(model, found):
+        own = element.slopes(seen)
+        at = element.joint if isinstance(element, Actuator) else -1
+        if at in free:
+            inside = free[at]
+            own = [x.scaled(lambda y, inside=inside: jnp.where(inside, y, 0.0)) for x in own]
+        out += own
+    return out
+
+
+def _unsaturated(
+    model: Model, found: list[tuple[Element, Context]], context: Context
+) -> dict[int, Lane]:
+    """Return, by joint with a force range, whether the sum of its actuator forces is inside."""
+    top, limits = model.topology, table(model.joints.forcerange, context.v.dtype)
+    known, driven = isinstance(limits, np.ndarray), None
     out: dict[int, Lane] = {}
-    for element, seen in element_contexts(model, Context.of(model, t, state, ctrl, dt)):
-        if ctrl is not None or not element.actuates:
-            for i, x in element.implicit_stiffness(seen, dt).items():
-                out[i] = add(out.get(i, 0.0), x)
-    return {i: x for i, x in out.items() if not is_zero(x)}
+    for element, _ in _actuators(model, found):
+        j = element.joint if isinstance(element, Actuator) else -1
+        if j < 0 or top.joints[j].nv != 1 or (known and bool(np.isinf(limits[j]).all())):
+            continue
+        driven = driven or _summed(_driven(model, found), context)
+        tau = jnp.asarray(driven.get(top.joint_v[j], 0.0), context.v.dtype)
+        out[j] = clip(tau, limits, j) == tau
+    return out
 
 
 def within(model: Model, x: jax.Array | None) -> jax.Array | None:

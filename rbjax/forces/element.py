@@ -23,6 +23,7 @@ import numpy as np
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
+from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import Model
 from rbjax.model.record import Record, check_above_zero, check_fields
@@ -154,11 +155,10 @@ class Element(Record):
             add(x, mul(dt, rate)) for x, rate in zip(context.x, self.rate(context), strict=True)
         ]
 
-    def implicit_stiffness(self, context: Context, h: Any) -> Mapping[int, Lane]:
-        """Compute h D / 2 + h^2 K / 4 by dof, with -D and -K the derivatives of the generalized
-        forces by velocity and position. An implicit step of length h adds these diagonal terms to
-        its iteration matrix. They affect only its convergence."""
-        return {}
+    def slopes(self, context: Context) -> Iterable[Slope]:
+        """Compute the stiffness and damping of the element's forces, for steps that are implicit in
+        them (`implicitfast`, `variational_midpoint`). Forces without slopes are explicit."""
+        return []
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         """Clip the element's state x to its range. `rollout` calls it after each step, with any

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.arguments import check_array, check_arrays, check_takes
 from rbjax.model import Model, State
 
 #: function (t, state) -> value of an input
@@ -29,9 +29,10 @@ class Inputs(NamedTuple):
 
 
 NO_INPUTS = Inputs()
+NAMES = Inputs._fields
 
 #: subject of an error message about each input
-NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
+_RETURNED = Inputs("the control returned", "what tau returned", "what wrenches returned")
 
 
 def shapes(model: Model) -> Inputs:
@@ -43,7 +44,7 @@ def check_returned(where: str, model: Model, k: int, value: Any, dtype: Any) -> 
     """Check the value that a function returned for input k."""
     names = ("model.actuator_names", "the velocity coordinates", "model.body_names")
     fix = f": one {'row' if k == 2 else 'number'} for each of {names[k]}"
-    return check_array(where, NAMES[k], value, shapes(model)[k], fix=fix).astype(dtype)
+    return check_array(where, _RETURNED[k], value, shapes(model)[k], fix=fix).astype(dtype)
 
 
 def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -> Inputs:
@@ -55,6 +56,22 @@ def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -
         return check_returned(where, model, k, source(t, state), state.q.dtype)
 
     return Inputs(*(value(k, source) for k, source in enumerate(sources)))
+
+
+def check_functions(where: str, given: Inputs) -> None:
+    """Raise InputError if a callable input is not a function of (t, state)."""
+    for name, f in zip(NAMES, given, strict=True):
+        if callable(f):
+            check_takes(where, name, f, "t", "state")
+
+
+def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> Inputs:
+    """Evaluate the inputs at a time and state."""
+    if not any(map(callable, given)):
+        return given
+    check_functions(where, given)
+    state = check_arrays(where, model, {"state": state})["state"]
+    return evaluated(where, model, given, t, state)
 
 
 def joined(arrays: list[jax.Array]) -> jax.Array:

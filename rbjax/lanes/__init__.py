@@ -2,7 +2,7 @@
 
     algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
     arrays            packing of lanes, products without `dot`, extreme entries, maps over rows
-    factorization     L D L^T of small symmetric matrices, regularization of singular ones
+    factorization     L D L^T and L U of small matrices, regularization of singular ones
     primitives        fusion barrier, batch axis, inverse, cosine and sine
 
 This package has no frames and no physics.
@@ -27,7 +27,7 @@ from rbjax.lanes.algebra import (
     total,
 )
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec, outer, pack, unpack
-from rbjax.lanes.factorization import LDLT, elimination_order, ldlt
+from rbjax.lanes.factorization import LDLT, LU, elimination_order, ldlt, lu
 from rbjax.lanes.primitives import (
     batch_first,
     batch_last,
@@ -40,6 +40,7 @@ from rbjax.lanes.primitives import (
 
 __all__ = [
     "LDLT",
+    "LU",
     "Lane",
     "Lanes",
     "Mat3",
@@ -57,6 +58,7 @@ __all__ = [
     "is_literal",
     "is_zero",
     "ldlt",
+    "lu",
     "matvec",
     "matmat",
     "matrix_transpose",

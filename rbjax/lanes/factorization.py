@@ -86,6 +86,62 @@ def ldlt(A: Rows, *, least: float = 0.0, order: Sequence[int] | None = None) -> 
     return LDLT(taken, L, inverse_D)
 
 
+class LU(NamedTuple):
+    """The factors A = L U of a matrix with its rows and columns permuted to `order`; L has a unit
+    diagonal."""
+
+    order: tuple[int, ...]
+    #: entries of each row below and above the diagonal, by column
+    L: list[dict[int, Lane]]
+    U: list[dict[int, Lane]]
+    inverse_D: list[Lane]
+
+    def solve(self, b: Sequence[Lane]) -> list[Lane]:
+        """Solve A x = b for x (n lanes)."""
+        x = [b[i] for i in self.order]
+        for i, row in enumerate(self.L):
+            for j, l in row.items():
+                x[i] = sub(x[i], mul(l, x[j]))
+        for i in reversed(range(len(x))):
+            for j, u in self.U[i].items():
+                x[i] = sub(x[i], mul(u, x[j]))
+            x[i] = mul(x[i], self.inverse_D[i])
+        out = list(x)
+        for place, i in enumerate(self.order):
+            out[i] = x[place]
+        return out
+
+
+def lu(A: Rows) -> LU:
+    """Factorize a matrix whose symmetric part is positive definite, which needs no pivoting.
+
+    (Golub & Van Loan, *Matrix Computations*, 4.1.)
+
+    Args:
+        A: (n, n) lanes. An entry and the opposite one are both structural zeros, or none is.
+    """
+    n = len(A)
+    lower = [[A[i][j] if not is_zero(A[i][j]) else A[j][i] for j in range(i + 1)] for i in range(n)]
+    order = tuple(elimination_order(lower))
+    rows = [{j: A[i][k] for j, k in enumerate(order) if not is_zero(A[i][k])} for i in order]
+    L: list[dict[int, Lane]] = []
+    U: list[dict[int, Lane]] = []
+    inverse_D: list[Lane] = []
+    for i, row in enumerate(rows):
+        below: dict[int, Lane] = {}
+        for j in range(i):
+            if j in row:
+                below[j] = l = mul(row.pop(j), inverse_D[j])
+                for k, u in U[j].items():
+                    row[k] = sub(row.get(k, 0.0), mul(l, u))
+        inverse = 1.0 / row.pop(i)
+        below, row, inverse = fusion_barrier((below, row, inverse))
+        L.append(below)
+        U.append(row)
+        inverse_D.append(inverse)
+    return LU(order, L, U, inverse_D)
+
+
 def _inverse(pivot: Lane, entry: Lane, least: float) -> Lane:
     if is_literal(pivot):
         return 1.0 / pivot if pivot > least * entry else 0.0

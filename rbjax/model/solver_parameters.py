@@ -28,6 +28,8 @@ class SolverParameters(Record):
         friction_solref: (nv, 2) reference of the friction loss.
         friction_solimp: (nv, 5) impedance of the friction loss.
         cone: "pyramidal" or "elliptic"; static.
+        integrator: the file's integrator, as a name of `rb.rollout`; the default of motions with
+            contact; static.
         refsafe: whether time constants are at least two time steps; static.
         limited: the joints with limits, by index; static.
         rubbing: the dofs with friction loss, by index; static.
@@ -45,6 +47,7 @@ class SolverParameters(Record):
     friction_solref: jax.Array
     friction_solimp: jax.Array
     cone: str = eqx.field(static=True, default="pyramidal")
+    integrator: str = eqx.field(static=True, default="euler_implicit_damping")
     refsafe: bool = eqx.field(static=True, default=True)
     limited: tuple[int, ...] = eqx.field(static=True, default=())
     rubbing: tuple[int, ...] = eqx.field(static=True, default=())

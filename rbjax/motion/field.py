@@ -8,21 +8,24 @@ its own derivative rules. An integrator maps a field and a state to the state af
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at, momentum
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
-from rbjax.forces.acting import applied, implicit_stiffness, within
+from rbjax.forces.acting import applied, slopes, within
+from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
+from rbjax.forces.slopes import Slope
 from rbjax.model import Model, State, without_constants
 
 
@@ -69,7 +72,7 @@ class Field:
     model: model without precomputed link constants, so that a user's dynamics or integrator may
         change its leaves (`eqx.tree_at`, `jax.tree.map`).
     dynamics: map from forces to accelerations, or to the velocity after a step.
-    dt: step in s that force elements read; None if no step is fixed.
+    dt: step in s that force elements and contacts read; None if no step is fixed.
     precomputed: model with its link constants, for code that does not change the leaves.
     """
 
@@ -96,12 +99,25 @@ class Field:
         v, memory = self.dynamics.advance_velocity(*given)
         return self._checked("velocity", v, state), x, memory
 
+    def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
+        """Compute M a (nv,) with the acceleration a, x (nx,) after a step dt, and the memory."""
+        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
+        if self.dynamics is free_motion:
+            at_rest = jnp.zeros_like(state.v)
+            bias = forces_at(self.precomputed, state.q, state.v, at_rest, f_ext)
+            return tau - bias, x, state.memory
+        a = self._acceleration(t, state, tau, f_ext)
+        return momentum(self.precomputed, state.q, a), x, state.memory
+
     def applied(self, t: Any, state: State, u: Inputs) -> tuple:
         """Compute the applied generalized forces (nv,), forces on links, and x' (nx,)."""
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _acceleration(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
-        a = self.dynamics(self._model_of_dynamics, t, state, tau, f_ext)
+        dynamics = self.dynamics
+        if isinstance(dynamics, SoftContact) and dynamics.dt is None:
+            dynamics = replace(dynamics, dt=self.dt)
+        a = dynamics(self._model_of_dynamics, t, state, tau, f_ext)
         return a if self.dynamics is free_motion else self._checked("result", a, state)
 
     def _checked(self, what: str, x: Any, state: State) -> jax.Array:
@@ -128,10 +144,11 @@ class Field:
         """Return the configuration q (+) dq."""
         return retract(self.precomputed, q, dq)
 
-    def implicit_stiffness(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """Compute the implicit stiffness of the forces: the diagonal terms that they add to the
-        mass matrix of a linearly implicit step, by dof."""
-        return implicit_stiffness(self.precomputed, t, state, u.ctrl, dt)
+    def slopes(
+        self, t: Any, state: State, u: Inputs, dt: Any, of: type[Element] = Element
+    ) -> list[Slope]:
+        """List the stiffness and damping of the forces, or of the elements of a class."""
+        return slopes(self.precomputed, t, state, u.ctrl, dt, of=of)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
         """Return the state for the rates of a stage, in a step that begins at (t0, start)."""

@@ -9,33 +9,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.arguments import check_array, check_arrays, check_takes, shape_of
+from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
-from rbjax.forces.inputs import Inputs, check_returned, evaluated, joined, shapes
+from rbjax.forces.inputs import NAMES, Inputs, check_functions, check_returned, joined, shapes
 from rbjax.model import Model, State
 
-NAMES = ("ctrl", "tau", "wrenches")
 _FIXES = (
     "nu numbers for the controls; or a policy (t, state) -> (nu,), or None",
     "nv numbers; or a function (t, state) -> (nv,), or None",
     "wrenches on nb bodies; or a function (t, state) -> (nb, 6), or None",
 )
-
-
-def check_functions(where: str, given: Inputs) -> None:
-    """Raise InputError if a callable input is not a function of (t, state)."""
-    for name, f in zip(NAMES, given, strict=True):
-        if callable(f):
-            check_takes(where, name, f, "t", "state")
-
-
-def inputs_at(where: str, model: Model, given: Inputs, t: Any, state: State) -> Inputs:
-    """Evaluate the inputs at a time and state."""
-    if not any(map(callable, given)):
-        return given
-    check_functions(where, given)
-    state = check_arrays(where, model, {"state": state})["state"]
-    return evaluated(where, model, given, t, state)
 
 
 class Held(eqx.Module):

@@ -1,6 +1,7 @@
 """Fixed-step integrators on the configuration manifold, for `rollout`.
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
+    implicit velocity     with the damping matrix, see `implicit_velocity`
     variational midpoint  on momenta, see `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
@@ -19,12 +20,15 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.formulation import differential_algebraic_method
+from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
-from rbjax.model import State
+from rbjax.forces.joints.polynomials import JointPolynomials
+from rbjax.model import Model, State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
 from rbjax.motion.implicit import ByStages, tableau_of
+from rbjax.motion.implicit_velocity import ImplicitVelocity
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -87,6 +91,9 @@ def _given(*parts: Any) -> tuple:
 INTEGRATORS: dict[str, Integrator] = {
     "semi_implicit_euler": semi_implicit_euler,
     "variational_midpoint": variational_midpoint,
+    "euler_implicit_damping": ImplicitVelocity("euler_implicit_damping", JointPolynomials),
+    "implicitfast": ImplicitVelocity("implicitfast"),
+    "implicit": ImplicitVelocity("implicit"),
 }
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
@@ -99,14 +106,19 @@ def loop_stages(name: str) -> Integrator:
 
 
 def integrator_of(
-    where: str, integrator: str | Integrator | None, dynamics: Any = free_motion
-) -> Integrator:
-    """Return an integrator from its name, a given function, or the default of the dynamics."""
+    where: str, integrator: str | Integrator | None, dynamics: Any = free_motion,
+    model: Model | None = None,
+) -> Integrator:  # fmt: skip
+    """Return an integrator from its name, a given function, or the default.
+
+    The default is semi-implicit Euler, or the integrator of the model's file for MuJoCo's contacts.
+    """
     formulation = differential_algebraic_method(dynamics)
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
-        return semi_implicit_euler
+        own = model.solver if isinstance(dynamics, SoftContact) and model is not None else None
+        integrator = "semi_implicit_euler" if own is None else own.integrator
     velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
     if velocities and isinstance(integrator, str) and integrator != "semi_implicit_euler":
         raise InputError(

@@ -124,7 +124,7 @@ def linearise(
     if dt is None:
         rates, A, B = linearise_rates(model, state, given, t, dynamics)
         return Linear(A, B, rates[: model.nv])
-    integrator = integrator_of("linearise", integrator, dynamics)
+    integrator = integrator_of("linearise", integrator, dynamics, model)
     if integrator is semi_implicit_euler and dynamics is free_motion and ctrl is not None:
         found = linearise_euler_step(model, t, state, given, dt)
         if found is not None:

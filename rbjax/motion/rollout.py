@@ -65,6 +65,12 @@ def rollout(
     evaluation. It is symplectic in (q, v) only if the mass matrix is constant: a double pendulum
     loses energy.
 
+    `euler_implicit_damping`, `implicitfast`, `implicit`: semi-implicit Euler with implicit damping,
+    (M + dt D) (v+ - v) = dt M a, as in MuJoCo. Use them for stiff dampers and velocity gains. D has
+    the dampers of joints; the symmetric part of -d tau/dv of dampers, tendons, actuators and fluid,
+    and the bias forces of bodies that float freely; or -d(tau - b)/dv. Other force elements may
+    define their part (`Element.slopes`). Rigid constraints need another integrator.
+
     `variational_midpoint`: order 2, symplectic in (q, p = M v), attitudes included, and implicit in
     all forces. Energy does not drift. A step has 6 evaluations (`VariationalMidpoint(evaluations)`
     changes the number) and costs as much as 4.5 to 8 steps of semi-implicit Euler. A step that does
@@ -95,10 +101,12 @@ def rollout(
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6) or
             (steps, nb, 6), or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated
             once a step.
-        integrator: one of "semi_implicit_euler", "variational_midpoint", "rk4", "tsit5", "dopri8",
-            "dop853"; or a function (field, t, state, inputs, dt) -> state
-            (`rbjax.motion.integrators.Integrator`); "semi_implicit_euler" if None. For constraints
-            of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
+        integrator: one of "semi_implicit_euler", "euler_implicit_damping", "implicitfast",
+            "implicit", "variational_midpoint", "rk4", "tsit5", "dopri8", "dop853"; or a function
+            (field, t, state, inputs, dt) -> state (`rbjax.motion.integrators.Integrator`). None:
+            "semi_implicit_euler"; with MuJoCo's contacts `model.solver.integrator`, the
+            integrator of the file. For constraints of index 2 and 3 a fully implicit method
+            (`rbjax.constraints.DifferentialAlgebraic`).
         dynamics: map from forces to accelerations, or to the velocity after a step with a memory
             (`rbjax.motion.field.Dynamics`, `VelocityDynamics`).
         constraints: how to enforce the constraints of the model: a name of
@@ -138,7 +146,7 @@ def rollout(
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Marsden & West,
     *Discrete mechanics and variational integrators*, Acta Numerica 2001; Tsitouras (2011);
     Prince & Dormand (1981); Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*,
-    II.5 (`dop853`).
+    II.5 (`dop853`); MuJoCo, *Computation*, numerical integration.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -164,7 +172,7 @@ def run_rollout(
 ) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
     """Compute the trajectory of `rollout` without its warning, the step in s and the dynamics."""
     dynamics = dynamics_of("rollout", model, dynamics, constraints, steps=True)
-    advance = integrator_of("rollout", integrator, dynamics)
+    advance = integrator_of("rollout", integrator, dynamics, model)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
     save_every = check_save_every("rollout", save_every, steps)

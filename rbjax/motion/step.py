@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.forces.inputs import Inputs, Source
+from rbjax.forces.inputs import Inputs, Source, inputs_at
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State
 from rbjax.motion.field import (
@@ -21,7 +21,6 @@ from rbjax.motion.field import (
     free_motion,
     with_contact,
 )
-from rbjax.motion.inputs import inputs_at
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 
 
@@ -155,7 +154,7 @@ def _step(
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
     dynamics = with_contact("step", model, dynamics, contact)
     dynamics = dynamics_of("step", model, dynamics, constraints, steps=True)
-    integrator = integrator_of("step", integrator, dynamics)
+    integrator = integrator_of("step", integrator, dynamics, model)
     state, inputs = with_memory(model, state, dynamics), Inputs(ctrl, tau, wrenches)
     return advance_state(integrator, Field(model, dynamics, dt), t, state, inputs, dt)
 

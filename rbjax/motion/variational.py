@@ -26,6 +26,7 @@ Computational Mathematics* 9, 2009.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +41,8 @@ from rbjax.dynamics.algorithms.energy import (
 from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes import Lane, Vec3, fusion_barrier
+from rbjax.forces.slopes import Slope, matrix
+from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_zero, mul
 from rbjax.model import State, Topology, spans
 from rbjax.motion.field import Field
 from rbjax.rotations.coefficients import stumpff
@@ -78,7 +80,7 @@ class VariationalMidpoint:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
         p0, half = momentum(model, q0, v0), dt / 2
         middle = field.retract(q0, half * v0)
-        extra = field.implicit_stiffness(t + half, State(middle, v0, x0), u, dt)
+        extra = implicit_stiffness(field.slopes(t + half, State(middle, v0, x0), u, dt), dt)
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
@@ -116,6 +118,17 @@ class VariationalMidpoint:
 
 
 variational_midpoint = VariationalMidpoint()
+
+
+def implicit_stiffness(slopes: Sequence[Slope], h: Any) -> dict[int, Lane]:
+    """Compute h D / 2 + h^2 K / 4 of the forces on single dofs, by dof, where it is positive."""
+
+    def weigh(slope: Slope) -> Lane:
+        own = add(mul(h / 2, slope.damping), mul(h * h / 4, slope.stiffness))
+        return own if is_zero(own) else jnp.maximum(own, 0.0)
+
+    single = [x for x in slopes if len(x.arms) == 1 and x.along is None]
+    return {i: x for (i, _), x in matrix(single, weigh).items()}
 
 
 def largest(x: jax.Array) -> jax.Array:

@@ -14,10 +14,9 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.inputs import Inputs, Source
+from rbjax.forces.inputs import Inputs, Source, inputs_at
 from rbjax.model import Model, State
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
-from rbjax.motion.inputs import inputs_at
 from rbjax.motion.trajectory import Trajectory
 from rbjax.sensors.solution import with_solution
 

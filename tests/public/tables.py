@@ -173,7 +173,18 @@ def detected(model: rb.Model, q: Any) -> tuple:
     return found.distance, found.position, found.frame
 
 
-CONTACT = {"detect": Case(lambda d: functools.partial(detected, balls(d)), [0.1 * ON])}
+def solved(model: rb.Model, q: Any, v: Any) -> tuple:
+    """The ball on a slide is in the floor."""
+    found = rb.contact.solve(model, state(q, v))
+    return found.acceleration, found.contact, found.contacts.force, found.error * 0
+
+
+CONTACT = {
+    "detect": Case(lambda d: functools.partial(detected, balls(d)), [0.1 * ON]),
+    "solve": Case(
+        lambda d: functools.partial(solved, balls(d)), [0.01 * ALONG + [0.3, -0.22], 0.3 * ON]
+    ),
+}
 
 # ---------------------------------------------------------------- wheeled
 

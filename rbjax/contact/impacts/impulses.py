@@ -5,7 +5,8 @@ An impact changes velocities and no positions. Only contact impulses p act,
     M (v+ - v-) = J^T p,   u+ = u- + J W J^T p
 Newton's law prescribes the normal velocity of all touching contacts at once: u_n+ >= e |u_n-|,
 complementary to p_n >= 0, with Coulomb's law between impulses and final slip. It can create energy
-if slip stops or reverses within the impact; the energetic law (`rbjax.contact.impacts.energetic`) cannot.
+if slip stops or reverses within the impact; the energetic law (`rbjax.contact.impacts.energetic`)
+cannot.
 
 Source: Brogliato, *Nonsmooth Mechanics*, ch. 4 and 6; Glocker, *Set-Valued Force Laws*, ch. 13.
 """

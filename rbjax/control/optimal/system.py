@@ -319,7 +319,9 @@ def system_of(
     if isinstance(model, Model):
         dynamics = dynamics_of(where, model, dynamics, constraints)
         ranges = jnp.asarray(model.actuators.ctrlrange)
-        return Robot(unlimited(model), integrator_of(where, integrator, dynamics), dynamics, ranges)
+        return Robot(
+            unlimited(model), integrator_of(where, integrator, dynamics, model), dynamics, ranges
+        )
     if integrator is not None or dynamics is not free_motion or constraints is not None:
         raise InputError(f"{where}: integrator, dynamics and constraints are for an rb.Model")
     system = as_system(model)

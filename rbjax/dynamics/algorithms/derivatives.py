@@ -27,7 +27,7 @@ from rbjax.dynamics.algorithms.composites import (
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.inverse import InverseMass, inverse_mass_matrix
 from rbjax.dynamics.algorithms.manifold import integrate
-from rbjax.dynamics.algorithms.rnea import inverse_dynamics
+from rbjax.dynamics.algorithms.rnea import forces_at, inverse_dynamics
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.pairs import pair_matrix, with_armature
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -96,6 +96,22 @@ def inverse_dynamics_derivatives(
     x = whole_operands(d, poses, S, v, d.lanes(a))
     by_q, by_v, M = (pair_matrix(d, a, b, v) for a, b in inverse_pairs(S, x))
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
+
+
+def bias_derivative(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """Compute the derivative (nv, nv) of the bias forces b(q, v) by v from checked arrays."""
+    if not model.topology.constant_axes:
+
+        def bias(v: jax.Array) -> jax.Array:
+            return forces_at(model, q, v, jnp.zeros_like(v))
+
+        return jax.jacfwd(bias)(v)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, None)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
+    x = whole_operands(d, poses, S, v, d.lanes(None))
+    return pair_matrix(d, *inverse_pairs(S, x)[1], v)
 
 
 @algorithm("q", "v", "tau", pairs=True, multi_kernel=_forward_in_kernels)

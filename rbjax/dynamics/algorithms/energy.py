@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.aba import factorize, solve
+from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import (
     POSE,
     TWIST,
@@ -30,11 +31,15 @@ from rbjax.dynamics.algorithms.kinematics import (
 )
 from rbjax.dynamics.algorithms.rnea import LinkForces, momentum, per_link
 from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
-from rbjax.lanes import Lane, Vec3, add, batch_first, matmat, matvec, mul
-from rbjax.model import Model
+from rbjax.lanes import Lane, Vec3, add, batch_first, lu, matmat, matvec, mul, pack
+from rbjax.model import Model, prepare
 from rbjax.spatial import Force, Motion
+
+#: entries of a matrix (nv, nv) by row and column
+Entries = Mapping[tuple[int, int], Lane]
 
 
 @algorithm("q", "v")
@@ -212,31 +217,50 @@ def momentum_and_rate(
     return d.pack(p, v), d.pack(rate, v)
 
 
-def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
-    """Compute the velocity v = M(q)^-1 p (nv, ...) from checked arrays, with the derivative
+def velocity_of(
+    model: Model, q: jax.Array, p: jax.Array, added: Entries | None = None
+) -> jax.Array:
+    """Compute the velocity v = (M(q) + A)^-1 p (nv, ...) from checked arrays.
 
-    dv = M^-1 (dp - d(M(q) v)),   v held constant.
+    dv = (M + A)^-1 (dp - d(M(q) v + A v)),   v held constant in the right side.
+
+    If A is diagonal, the articulated-body factors solve the system; otherwise the factors L U of
+    the matrix with the sparsity of M and A do. `added` has the entries of A, by row and column.
     """
-    given, rebuilt = split_tracers(model)
+    given, rebuilt = split_tracers((model, added or {}))
 
     def factors(changed, q):
-        d = driver(rebuilt(changed), q.dtype)
-        return d, factorize(d, d.joints(q, None))
+        model, added = rebuilt(changed)
+        if all(i == j for i, j in added):
+            d = driver(model, q.dtype)
+            extra = d.scattered({i: x for (i, _), x in added.items()}, 0.0)
+            found = factorize(d, d.joints(q, None), extra)
+            return d, lambda p: solve(d, found, p)
+        d = Unrolled(model, prepare(model, q.dtype))
+        rows = mass_matrix_rows(d, d.joints(q, None))
+        for (i, j), x in added.items():
+            rows[i][j] = add(rows[i][j], x)
+        return d, lu(rows).solve
 
     def plain(*at):
-        d, found = factors(*at[:2])
-        return batch_first((d.pack(solve(d, found, d.lanes(at[2])), at[2]),), at)
+        d, solve = factors(*at[:2])
+        return batch_first((d.pack(solve(d.lanes(at[2])), at[2]),), at)
 
     def solved(changed, q, p):
-        d, found = factors(changed, q)
+        d, solve = factors(changed, q)
 
         def velocity(p):
-            return d.pack(solve(d, found, d.lanes(p)), p)
+            return d.pack(solve(d.lanes(p)), p)
 
         return (velocity(p),), [velocity]
 
     def residual(changed, q, p, v):
-        return p - momentum(rebuilt(changed), q, v)
+        model, added = rebuilt(changed)
+        found: dict[int, Lane] = {}
+        for (i, j), x in added.items():
+            found[i] = add(found.get(i, 0.0), mul(x, v[j]))
+        out = p - momentum(model, q, v)
+        return out - pack([found.get(i, 0.0) for i in range(model.nv)], v) if found else out
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, p))[0]
 

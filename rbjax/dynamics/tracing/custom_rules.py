@@ -66,6 +66,7 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
 
     Args:
         plain: a function of *at that returns `batch_first(solutions, at)`. It gives the values.
+            Further values may follow the solutions; their derivatives are zero.
         solved: a function of *at that returns the solutions and a function solve_k for each,
             -(d residual_k / dx_k)^-1. It is used for derivatives.
         residuals: the functions residual_k.
@@ -81,6 +82,7 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
             at, moving = (*primals, *xs[:k]), (*tangents, *rates)
             _, change = jvp_of(functools.partial(_held, residual, xs[k]), at, moving)
             rates.append(jnp.zeros_like(xs[k]) if change is None else solve(change))
+        rates += [jnp.zeros_like(x) for x in xs[len(rates) :]]
         return xs, tuple(rates)
 
     def again(at: tuple, moving: tuple) -> tuple:

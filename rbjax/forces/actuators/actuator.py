@@ -29,6 +29,7 @@ from rbjax.forces.actuators.transmissions import (
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.reach import Reach
+from rbjax.forces.slopes import Slope, derivatives
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
@@ -69,9 +70,28 @@ class Signals:
         """The change of the length l when the joint rotates by a full turn."""
         return self._transmission.turn(self.dtype)
 
+    def derivatives(self, f: Callable[[Signals], Lane]) -> tuple[Lane, Lane]:
+        """Compute the derivatives of a force f(signals) by length and speed."""
+
+        def force(length: Lane, speed: Lane) -> Lane:
+            return jnp.asarray(f(_Moved(self, length, speed)), self.dtype)
+
+        return derivatives(force, self.length, self.speed, self.dtype)
+
     def nearest(self, angle: Lane, to: Lane) -> Lane:
         """Shift an angle by full turns to be nearest to another angle."""
         return angle - self.turn * jnp.round((angle - to) / self.turn)
+
+
+class _Moved(Signals):
+    """Signals with another length and speed."""
+
+    length: Lane = 0.0
+    speed: Lane = 0.0
+
+    def __init__(self, of: Signals, length: Lane, speed: Lane):
+        self.__dict__.update(of.__dict__)
+        self.length, self.speed = length, speed
 
 
 class ForceLaw(Record):
@@ -103,9 +123,14 @@ class ForceLaw(Record):
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """Compute the derivatives of the force by length l and speed l', for an implicit step; 0 by
-        default."""
-        return 0.0, 0.0
+        """Compute the derivatives of the force by length l and speed l', for an implicit step."""
+        return seen.derivatives(self.force)
+
+    def friction_slopes(self, seen: Signals) -> tuple[Lane, Lane]:
+        """Compute the derivatives of the friction by length l and speed l'."""
+        if type(self).friction is ForceLaw.friction:
+            return 0.0, 0.0
+        return seen.derivatives(self.friction)
 
 
 class Actuator(Element):
@@ -150,24 +175,30 @@ class Actuator(Element):
         """The tendon that the actuator pulls, or -1."""
         return self.transmission.tendon if isinstance(self.transmission, TendonLength) else -1
 
+    @property
+    def joint(self) -> int:
+        """The joint that the actuator drives, or -1."""
+        return self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
+
     def force(self, context: Context) -> Lane:
         """Compute the force of the law, before the limits of its range."""
         return jnp.asarray(self.law.force(self._signals(context)), context.q.dtype)
 
-    def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:
-        """Compute the implicit stiffness of servos and dampers on joints other than attitudes. It
-        is zero if the force is at a limit of its range."""
-        joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
-        if joint < 0 or context.model.topology.joints[joint].quaternion:
-            return {}
+    def slopes(self, context: Context) -> list[Slope]:
+        """Compute the stiffness and damping of the force. They are zero if the force is at a limit
+        of its range."""
         seen = self._signals(context)
-        k, d = self.law.slopes(seen)
+        slopes = self.law.slopes(seen)
+        if not all(map(is_zero, slopes)):
+            scale = context.scales.get(self.tendon, 1.0)
+            force, limits = self.law.force(seen), table(self.forcerange, seen.dtype)[None]
+            force = jnp.asarray(force, seen.dtype)
+            inside = (clip(force, limits, 0) == force) & (jnp.asarray(scale, seen.dtype) == 1)
+            slopes = tuple(x if is_zero(x) else jnp.where(inside, x, 0.0) for x in slopes)
+        k, d = map(add, slopes, self.law.friction_slopes(seen))
         if is_zero(k) and is_zero(d):
-            return {}
-        own = neg(add(mul(h / 2, d), mul(h * h / 4, k)))
-        force, limits = self.law.force(seen), table(self.forcerange, seen.dtype)[None]
-        own = jnp.where(clip(force, limits, 0) == force, jnp.maximum(own, 0.0), 0.0)
-        return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
+            return []
+        return [Slope(seen.reach.arms, neg(k), neg(d))]
 
     def rate(self, context: Context) -> Sequence[Lane]:
         return [0.0] * self.size if context.ctrl is None else self.law.rate(self._signals(context))
@@ -237,24 +268,19 @@ class GainBias(ForceLaw):
         return 0 if self.activation is None else 1
 
     def force(self, seen: Signals) -> Lane:
-        if self.activation is None:
-            a = seen.u[0]
-        elif self.early:
-            a = self.activation.advanced(self._control(seen), seen.x[0], seen.h)
-        else:
-            a = seen.x[0]
-        a = seen.nearest(a, seen.length) if self.circular else a
         bias = 0.0 if self.bias is None else self.bias(seen)
-        return add(mul(self.gain(seen), a), bias)
+        return add(mul(self.gain(seen), self._activation(seen)), bias)
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
         gain, bias = self.gain, Affine(_ZERO) if self.bias is None else self.bias
-        if self.activation or self.circular or not isinstance(gain, Affine):
-            return 0.0, 0.0
-        if not isinstance(bias, Affine):
-            return 0.0, 0.0
-        (g1, g2), (b1, b2) = gain.slopes(seen.dtype), bias.slopes(seen.dtype)
-        return add(mul(g1, seen.u[0]), b1), add(mul(g2, seen.u[0]), b2)
+        if not isinstance(gain, Affine) or not isinstance(bias, Affine):
+            return super().slopes(seen)
+        by_gain, by_bias = gain.slopes(seen.dtype), bias.slopes(seen.dtype)
+        if all(map(is_zero, by_gain)):
+            return by_bias[0], by_bias[1]
+        a = self._activation(seen)
+        by_length, by_speed = (add(mul(g, a), b) for g, b in zip(by_gain, by_bias, strict=True))
+        return by_length, by_speed
 
     def rate(self, seen: Signals) -> Sequence[Lane]:
         if self.activation is None:
@@ -272,6 +298,16 @@ class GainBias(ForceLaw):
             return x
         period = turn(dtype) if self.circular else None
         return [self.activation.within(a, period) for a in x]
+
+    def _activation(self, seen: Signals) -> Lane:
+        """Return the activation a, or the control if the law has no activation."""
+        if self.activation is None:
+            a = seen.u[0]
+        elif self.early:
+            a = self.activation.advanced(self._control(seen), seen.x[0], seen.h)
+        else:
+            a = seen.x[0]
+        return seen.nearest(a, seen.length) if self.circular else a
 
     def _control(self, seen: Signals) -> Lane:
         """Return the control u.

@@ -87,8 +87,8 @@ class JointLimits(Element):
                 out[i] = add(out.get(i, 0.0), neg(mul(a, f)))
         return Loads(out)
 
-    # No `implicit_stiffness`: with it, variational steps much longer than sqrt(m / k) converge to a
-    # rebound that gains speed. Without it they do not converge, and `Trajectory.ok` is False.
+    # No `slopes`: with them, variational steps much longer than sqrt(m / k) converge to a
+    # rebound that gains speed. Without them they do not converge, and `Trajectory.ok` is False.
 
     def energy(self, context: Context) -> Lane:
         """Compute the potential energy of the stops, J."""

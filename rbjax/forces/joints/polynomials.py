@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.algorithms.manifold import difference_lanes
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
+from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -89,16 +90,17 @@ class JointPolynomials(Element):
                 row += 1
         return Loads(out)
 
-    def implicit_stiffness(self, context: Context, h: Any) -> dict[int, Lane]:
-        """Compute the implicit stiffness of the linear terms."""
-        if self.lowest:
-            return {}
+    def slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of each dof, and the stiffness of the linear springs."""
         stiffness, damping = (table(x, context.v.dtype) for x in (self.stiffness, self.damping))
-        out: dict[int, Lane] = {}
+        out: list[Slope] = []
         for row, joint in enumerate(map(context.joint, self.joints)):
-            spring = mul(h * h / 4, lane(stiffness[:, 0], row))
-            for i in range(joint.start, joint.start + len(joint.v)):
-                out[i] = add(mul(h / 2, lane(damping[:, 0], len(out))), spring)
+            k = 0.0 if self.lowest else lane(stiffness[:, 0], row)
+            for i, v in enumerate(joint.v, joint.start):
+                coefficients = _row(damping, len(out))
+                shares = [mul(n, c) for n, c in enumerate(coefficients, self.lowest + 1)]
+                speed = [jnp.abs(v)] if self.lowest or len(shares) > 1 else [v]
+                out.append(Slope({i: 1.0}, k, self._polynomial(shares, speed)))
         return out
 
     def energy(self, context: Context) -> Lane:

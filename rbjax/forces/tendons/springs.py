@@ -17,6 +17,7 @@ from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.joints.polynomials import polynomial
 from rbjax.forces.place import Place
+from rbjax.forces.slopes import Slope
 from rbjax.forces.springs import PointSpring, coefficients, stretch
 from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
@@ -37,6 +38,23 @@ class TendonSprings(Element):
                 continue
             reach, force = tendon_reach(context, i), _force(context, i, k, d)
             out = out + Loads({n: neg(mul(arm, force)) for n, arm in reach.arms.items()})
+        return out
+
+    def slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of each tendon, and the stiffness of its linear spring."""
+        out = []
+        for i, k, d in _springs(context):
+            reach = tendon_reach(context, i)
+            shares = [mul(n, c) for n, c in enumerate(d, 1)]
+            damping = shares[0]
+            if len(shares) > 1:
+                speed = jnp.abs(jnp.asarray(reach.speed(context), context.q.dtype))
+                damping = add(damping, polynomial(shares[1:], speed))
+            stiffness = k[0]
+            if not is_zero(stiffness):
+                acts = _stretch(context, i, reach.length) != 0
+                stiffness = jnp.where(acts, stiffness, 0.0)
+            out.append(Slope(reach.arms, stiffness, damping))
         return out
 
     def energy(self, context: Context) -> Lane:

@@ -16,6 +16,15 @@ from rbjax.model import SolverParameters
 
 _OVERRIDE = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 _SLIDES = 2  # body_simple of a body that only slides along its axes
+_EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
+#: MuJoCo's integrator -> the integrator of `rb.rollout`
+INTEGRATORS = {
+    _EULER: "euler_implicit_damping",
+    int(mujoco.mjtIntegrator.mjINT_RK4): "rk4",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "implicit",
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "implicitfast",
+    int(mujoco.mjtIntegrator.mjINT_DISCRETE): "discrete",
+}
 _CONES = {int(mujoco.mjtCone.mjCONE_PYRAMIDAL): "pyramidal"}
 
 
@@ -35,11 +44,20 @@ def solver_parameters(m: mujoco.MjModel, array: Callable) -> SolverParameters:
         friction_solref=array(m.dof_solref),
         friction_solimp=array(m.dof_solimp),
         cone=_CONES.get(int(m.opt.cone), "elliptic"),
+        integrator=_integrator(m),
         refsafe=is_on(m, Off.mjDSBL_REFSAFE),
         limited=tuple(np.flatnonzero(limited).tolist()),
         rubbing=tuple(np.flatnonzero(rubbing).tolist()),
         translating=tuple(np.flatnonzero(m.body_simple[1:] == _SLIDES).tolist()),
     )
+
+
+def _integrator(m: mujoco.MjModel) -> str:
+    """Return the name of the file's integrator in `rb.rollout`."""
+    kind = int(m.opt.integrator)
+    if kind == _EULER and not is_on(m, Off.mjDSBL_EULERDAMP):
+        return "semi_implicit_euler"
+    return INTEGRATORS[kind]
 
 
 def pair_fields(

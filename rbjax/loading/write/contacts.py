@@ -66,6 +66,10 @@ def write_geoms(draft: Draft) -> None:
         draft.note("geoms of meshes and height fields, left out", [geoms.names[i] for i in meshes])
 
 
+#: integrator of a file -> integrator of `rb.rollout`
+_INTEGRATORS = {"RK4": "rk4"} | {name: name for name in ("implicit", "implicitfast", "discrete")}
+
+
 def write_solver(draft: Draft) -> None:
     """Write the parameters of limits, friction loss and cones."""
     solver: Any = draft.model.solver
@@ -75,6 +79,11 @@ def write_solver(draft: Draft) -> None:
         draft.option.set("cone", solver.cone)
     if solver.impratio != 1:
         draft.option.set("impratio", text(solver.impratio))
+    names = {name: option for option, name in _INTEGRATORS.items()}
+    if solver.integrator in names:
+        draft.option.set("integrator", names[solver.integrator])
+    elif solver.integrator == "semi_implicit_euler":
+        _flag(draft, "eulerdamp")
     if not solver.refsafe:
         _flag(draft, "refsafe")
     if solver.frictionloss.any() and not solver.rubbing:
@@ -166,7 +175,7 @@ def contact_arrays(model: Model, geoms: Iterable[int]) -> Iterator[tuple[str, An
 
 def contact_differences(model: Model, again: Model, geoms: dict[int, int]) -> Iterator[str]:
     """Describe differences of pairs and of static parameters. geoms: index -> index read back."""
-    for name in ("cone", "refsafe", "limited", *["rubbing"] * (not rubs(model))):
+    for name in ("cone", "integrator", "refsafe", "limited", *["rubbing"] * (not rubs(model))):
         values = [getattr(m.solver, name, None) for m in (model, again)]
         if model.solver is not None and values[0] != values[1]:
             yield f"solver.{name}: {values[1]} in place of {values[0]}"
