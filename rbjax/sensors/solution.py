@@ -71,9 +71,11 @@ class Solution:
     @cached_property
     def contacts(self) -> ContactForces | None:
         """The contact forces, or None if the dynamics has no contacts."""
-        forces = getattr(self._dynamics, "contact_forces", None)
-        if self._contacts is not None or forces is None:
+        if self._contacts is not None:
             return self._contacts
+        forces = getattr(self._field.dynamics, "contact_forces", None)
+        if forces is None:
+            return None
         now = self.context
         tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
         return forces(now.model, now.t, now.state, tau, f_ext)
