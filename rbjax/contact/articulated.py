@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 
 from rbjax.contact.problem import inertia_of_row, stacked
-from rbjax.contact.scalar_rows import ScalarRow
+from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.lanes import Lane, add, mul, unpack

@@ -26,9 +26,9 @@ import jax.numpy as jnp
 
 from rbjax.arguments import floating_array
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
-from rbjax.contact.geometry.shapes import Contact
+from rbjax.contact.geometry.shapes import Contact, geom_shape
 from rbjax.contact.impacts.impulses import check_pairs
-from rbjax.contact.impacts.point_velocity import file_friction, geom_shape
+from rbjax.contact.impacts.point_velocity import file_friction
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
@@ -166,8 +166,11 @@ class CompliantContact(Element):
         reach = jnp.asarray(0.0, dtype)
         out = []
         for pair in self.pairs:
-            a, b = (now.body(geoms.bodies[g]) for g in pair)
-            one, other = (geom_shape(now, g) for g in pair)
+            a, b = bodies = [now.body(geoms.bodies[g]) for g in pair]
+            one, other = (
+                geom_shape(now.model, g, body.pose, dtype)
+                for g, body in zip(pair, bodies, strict=True)
+            )
             kind = PairKind.of(geoms, pair)
             out.append((a, b, pair_contacts(kind, one, other, reach, geoms.heights)))
         return out

@@ -27,7 +27,7 @@ class ContactForces(Record):
     """The forces of contacts, one row a contact. The number n of rows is fixed.
 
     Fields:
-        exists: (n,) whether the contact exists.
+        exists: (n,) whether the contact exists: its distance is below margin + gap of the pair.
         distance: (n,) m, between the surfaces; negative if they overlap.
         position: (n, 3) m, in the world.
         frame: (n, 3, 3) axes row by row in world axes: the normal from the first geom to the
@@ -112,8 +112,9 @@ def rows_of_candidates(
         def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
             k, rows, wrenches = carry
             f = of.cone(row).response(residual(of, row, twists)).f
-            values = jnp.where(active, _row(place_of(row), origin, f, rows[0]), rows[k])
             f = [jnp.where(active, x, 0.0) for x in f]
+            values = _row(place_of(row), origin, f, rows[0])
+            values = jnp.where(row.contact.exists, values, rows[k])
             wrenches = of.add_wrench(row, wrenches, row.wrench(f))
             return k + 1, rows.at[k].set(values), wrenches
 

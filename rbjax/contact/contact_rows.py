@@ -39,6 +39,7 @@ class Row(NamedTuple):
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
         contact: the contact about the origin, if the row is not from a slot.
+        candidate: index of the candidate in its set, if the row is not from a slot.
     """
 
     pair: Any
@@ -46,6 +47,7 @@ class Row(NamedTuple):
     D: Lane
     reference: list[Lane]
     contact: Contact | None = None
+    candidate: Any = None
 
     def along(self, y: Motion) -> list[Lane]:
         """Compute b_k . y for each row."""
@@ -152,27 +154,36 @@ class ContactSet:
 
     def scan(self, world: World, step: Callable[[Any, Row, Any], Any], carry: Any) -> Any:
         """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
+        start = 0
         for kind, pairs in self.kinds.items():
+            count = COUNTS[kind.kinds]
 
-            def of_pair(carry: Any, pair: Any, kind: Any = kind) -> tuple[Any, None]:
+            def of_pair(carry: Any, at: Any, kind: Any = kind) -> tuple[Any, None]:
+                pair, first = at
                 one, other = (_shape(world.geoms[_entry(self.geoms[:, k], pair)]) for k in (0, 1))
                 margin = self._lane(self.parameters.margin, pair)
                 reach = margin + self._lane(self.parameters.gap, pair)
-                for contact in pair_contacts(kind, one, other, reach, world.heights):
+                found = pair_contacts(kind, one, other, reach, world.heights)
+                for k, contact in enumerate(found):
                     active = contact.exists & (contact.distance < margin)
-                    carry = step(carry, self._row(world, contact, pair, margin, active), active)
+                    row = self._row(world, contact, pair, first + k, margin, active)
+                    carry = step(carry, row, active)
                 return carry, None
 
             if len(pairs) == 1:
-                carry, _ = of_pair(carry, pairs[0])
+                carry, _ = of_pair(carry, (pairs[0], start))
             else:
-                carry, _ = jax.lax.scan(of_pair, carry, jnp.asarray(pairs))
+                firsts = start + count * np.arange(len(pairs))
+                carry, _ = jax.lax.scan(of_pair, carry, (jnp.asarray(pairs), jnp.asarray(firsts)))
+            start += count * len(pairs)
         return carry
 
-    def _row(self, world: World, contact: Contact, pair: Any, margin: Lane, active: Any) -> Row:
+    def _row(
+        self, world: World, contact: Contact, pair: Any, candidate: Any, margin: Lane, active: Any
+    ) -> Row:
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
         axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [], contact)
+        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [], contact, candidate)
         v = row.along(self.relative(row, world.twists))
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
@@ -274,7 +285,8 @@ class Slots(NamedTuple):
     def collect(cls, contacts: ContactSet, world: World, *, places: bool = False) -> Slots:
         """Run the narrow phase of a set and store the active contacts.
 
-        places: whether to store the places of the contacts too.
+        places: whether to store the places of the contacts too, and the contacts in the gap, which
+            have no force.
         """
         n, m, dtype = contacts.candidates, 7 * contacts.dim + 1, world.geoms.dtype
         like = jnp.zeros(m, dtype)
@@ -285,7 +297,10 @@ class Slots(NamedTuple):
             values = pack([*lanes, row.D, *row.reference], like)
             rows = slots.rows.at[slots.length].set(values)
             pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
-            at = None if slots.places is None else slots.places.store(slots.length, row)
+            at = slots.places
+            if at is not None:
+                assert row.contact is not None
+                at, active = at.store(slots.length, row), row.contact.exists
             return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs, at)
 
         at = Places.empty(n, dtype) if places else None

@@ -3,7 +3,7 @@
     min over x of  (x - a_s)^T M (x - a_s) / 2 + sum of s_i(J_i x - a_ref,i),    M a_s = tau - b
 
 x is the joint acceleration, s_i the costs of contacts (`cones`) and of limits, friction loss and
-equalities (`scalar_rows`). Its gradient is M x - (tau - b) - J^T f (MuJoCo, *Computation*).
+equalities (`rows`). Its gradient is M x - (tau - b) - J^T f (MuJoCo, *Computation*).
 
 The Hessian M + J^T H J has the pattern of M if all contacts are with the world: a contact adds the
 6 by 6 matrix K = sum of b_k H_kl b_l^T to the composite inertia of its link. A contact of two links
@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
-from rbjax.contact.scalar_rows import ScalarRow
+from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD

@@ -32,7 +32,7 @@ from rbjax.forces.context import Context
 from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_cancel
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
-from rbjax.loading.mjcf.constraints import constraints_of
+from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
 from rbjax.loading.mjcf.contacts import (
     check_geoms,
     closed_pairs,
@@ -85,13 +85,14 @@ def load(
         limits: add compliant stops at the joint limits (`rbjax.forces.JointLimits`).
         friction: load the friction loss of joints as `rbjax.forces.JointFriction`.
         motors: add a motor of gear 1, with the joint's name, to each hinge and slide without one.
-        constraints: load connects, welds, joint equalities and mimics as rigid constraints
-            (`model.constraints`).
+        constraints: load connects, welds, joint and tendon equalities and mimics as rigid
+            constraints (`model.constraints`).
         compliant: make the equalities compliant by MuJoCo's solref and solimp
-            (`rbjax.constraints.Soft`); mimics stay rigid.
-        contacts: take the contacts, joint limits and friction loss of the file as one problem
-            (`model.contact = "mujoco"`), in place of the elements of `limits` and `friction`.
-            `model.dropped` names the pairs of geoms that have no closed form.
+            (`rbjax.constraints.Soft`); mimics stay rigid unless `contacts` is on.
+        contacts: take the contacts, limits, friction loss and equalities of the file as one problem
+            (`model.contact = "mujoco"`), in place of the elements of `limits` and `friction`. All
+            equalities and mimics are then compliant. `model.dropped` names the pairs of geoms that
+            have no closed form.
 
     Returns:
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
@@ -153,9 +154,11 @@ def load(
     for text in texts:
         warnings.warn(text, stacklevel=2)
     with jax.ensure_compile_time_eval():  # numbers of a file are constants in jit too
-        model = from_compiled(compiled, dropped, **taken, compliant=compliant)
-    if constraints:
-        model = model.with_constraints(*mimics.couplings)
+        model = from_compiled(compiled, dropped, **taken, compliant=compliant or contacts)
+        couplings = mimics.couplings if constraints else ()
+        if contacts:
+            couplings = tuple(soft_mimic(compiled, one) for one in couplings)
+    model = model.with_constraints(*couplings)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(

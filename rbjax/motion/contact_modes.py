@@ -16,12 +16,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.contact.geometry.detection import Contacts, contacts_at
 from rbjax.contact.impacts.impulses import impact, impact_problem
 from rbjax.contact.impacts.point_velocity import (
-    ContactPoints,
+    constrained_inverse_inertia,
     contact_jacobian,
-    contact_points,
-    inverse_inertia,
     relative_velocity,
 )
 from rbjax.dynamics.algorithms.manifold import retract
@@ -46,7 +45,7 @@ class Mode(NamedTuple):
 class ContactForces(NamedTuple):
     """The contacts at a state: candidates, relative velocities u (n, 3), forces f (n, 3)."""
 
-    points: ContactPoints
+    contacts: Contacts
     u: jax.Array
     f: jax.Array
 
@@ -74,9 +73,9 @@ class ContactSystem(eqx.Module):
         at, t = self.unit(y), self.start + t
         inputs = evaluated("simulate_impacts", self.model, self.inputs, t, at)
         a, x = Field(self.model, self.dynamics).rates(t, at, inputs)
-        points = contact_points(self.model, at.q, self.pairs)
-        J = contact_jacobian(self.model, at.q, points, self.pairs)
-        W = inverse_inertia(self.model, at.q, t)
+        contacts = contacts_at(self.model, at.q, jnp.inf, self.pairs)
+        J = contact_jacobian(self.model, at.q, contacts)
+        W = constrained_inverse_inertia(self.model, at.q, t)
         problem, Y = impact_problem(J, W, at.v, mode.kept, self.friction)
         bias = jax.jvp(
             lambda s: self.slip(retract(self.model, at.q, s * at.v), at.v),
@@ -84,11 +83,11 @@ class ContactSystem(eqx.Module):
         )[1]  # fmt: skip
         free = matvec(J, a) + bias
         f = kept_forces(problem.D, free, problem.u, self.friction, mode)
-        return a + matvec(Y, f.reshape(-1)), x, ContactForces(points, problem.u, f)
+        return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, problem.u, f)
 
     def slip(self, q: jax.Array, v: jax.Array) -> jax.Array:
-        points = contact_points(self.model, q, self.pairs)
-        return relative_velocity(self.model, q, v, points, self.pairs)
+        contacts = contacts_at(self.model, q, jnp.inf, self.pairs)
+        return relative_velocity(self.model, q, v, contacts)
 
     def guards(self, t: Any, y: State, mode: Mode) -> jax.Array:
         """Return the guards (4, n): distance of open contacts, normal force, slip, and the reserve
@@ -102,7 +101,7 @@ class ContactSystem(eqx.Module):
         tangent = jnp.sqrt((found.f[:, 1:] ** 2).sum(-1) + TINY**2)
         reserve = jnp.where(jnp.isfinite(mu), mu, 0) * found.f[:, 0] - tangent
         return jnp.stack([
-            jnp.where(~mode.kept & found.points.exists, found.points.distance, far),
+            jnp.where(~mode.kept & found.contacts.exists, found.contacts.distance, far),
             jnp.where(mode.kept, found.f[:, 0], far),
             jnp.where(rubs & mode.slides, (found.u[:, 1:] * mode.direction).sum(-1), far),
             jnp.where(rubs & ~mode.slides, reserve, far),
@@ -149,10 +148,10 @@ def kept_forces(
 def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
     """Return the mode at the start, and whether a contact touches and opens there."""
     at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
-    points = contact_points(system.model, at.q, system.pairs)
+    contacts = contacts_at(system.model, at.q, jnp.inf, system.pairs)
     u = jax.lax.stop_gradient(system.slip(at.q, at.v))
     near, least = _small(at.q.dtype)
-    touches = points.exists & (jnp.abs(points.distance) <= near)
+    touches = contacts.exists & (jnp.abs(contacts.distance) <= near)
     still = least * (1 + jnp.abs(u).max(initial=0.0))
     kept = touches & (jnp.abs(u[:, 0]) <= still)
     moves, towards = _slip_direction(u, still)
@@ -180,18 +179,18 @@ def transition(
     at, mu = system.unit(y), system.friction
     found = jax.lax.stop_gradient(system.motion(t, y, mode)[2])
     guards = jax.lax.stop_gradient(system.guards_of(found, mode))
-    points = contact_points(system.model, at.q, system.pairs)
+    contacts = contacts_at(system.model, at.q, jnp.inf, system.pairs)
     near, still = _small(at.q.dtype)
     force = jnp.abs(found.f).max(initial=0.0) + jnp.finfo(at.q.dtype).tiny
     speed = jnp.abs(found.u).max(initial=0.0)
     first = jnp.arange(guards.size).reshape(guards.shape) == jnp.argmin(guards)
 
-    touches = ~mode.kept & points.exists & ((points.distance <= near) | first[0])
+    touches = ~mode.kept & contacts.exists & ((contacts.distance <= near) | first[0])
     closed = touches & (found.u[:, 0] < 0)
     active = closed | mode.kept | (touches & closed.any())
     bounces = e * (found.u[:, 0] < -rest)
     v, _, residual, fine = impact(
-        system.model, at.q, at.v, bounces, mu, points, active, system.pairs, law, system.start + t
+        system.model, at.q, at.v, bounces, mu, contacts, active, law, system.start + t
     )
     hit = closed.any()
     after = State(y.q, jnp.where(hit, v, y.v), y.x)

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -114,10 +115,7 @@ class Field:
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _acceleration(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
-        dynamics = self.dynamics
-        if isinstance(dynamics, SoftContact) and dynamics.dt is None:
-            dynamics = replace(dynamics, dt=self.dt)
-        a = dynamics(self._model_of_dynamics, t, state, tau, f_ext)
+        a = self.law(self._model_of_dynamics, t, state, tau, f_ext)
         return a if self.dynamics is free_motion else self._checked("result", a, state)
 
     def _checked(self, what: str, x: Any, state: State) -> jax.Array:
@@ -125,8 +123,17 @@ class Field:
         return x.astype(state.q.dtype)
 
     @property
+    def law(self) -> Any:
+        """The dynamics; a law of soft contact has the step of the field, unless it has its own."""
+        dynamics = self.dynamics
+        if isinstance(dynamics, SoftContact) and dynamics.dt is None:
+            return replace(dynamics, dt=self.dt)
+        return dynamics
+
+    @property
     def _model_of_dynamics(self) -> Model:
-        own = self.dynamics is free_motion or isinstance(self.dynamics, Formulation | SoftContact)
+        laws = Formulation | SoftContact | CoulombContact
+        own = self.dynamics is free_motion or isinstance(self.dynamics, laws)
         return self.precomputed if own else self.model
 
     def forces(
@@ -205,6 +212,12 @@ def dynamics_of(
     check_model(where, model)
     if dynamics is free_motion:
         law = model.contact
+        if law is not None and constraints is not None:
+            raise InputError(
+                f"{where}: got constraints={constraints!r} and a model with contact={law!r}, whose "
+                "law solves contacts and soft constraints together; leave constraints out, or "
+                "leave contacts out by model.replace(contact=None)"
+            )
         if law is not None:
             return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from rbjax.contact.geometry.shapes import geom_shape, stack_shapes
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.lanes.arrays import select, smallest
-from rbjax.model import Frame, Model
-from rbjax.model.leaves import frame_transform, table
+from rbjax.model import Model
+from rbjax.model.leaves import frame_transform
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.fixed import AXES, FrameSensor, named_frame, reading
 from rbjax.sensors.protocol import register
@@ -98,16 +99,13 @@ def cast_ray(context: Context, origin: Vec3, along: Vec3, geoms: list[int]) -> R
         members = [i for i in geoms if own.types[i] == kind]
         if not members:
             continue
-        poses: Any = jax.tree.map(
-            lambda *x: jnp.stack([jnp.asarray(lane, dtype) for lane in x]),
-            *(context.frame(Frame(geom=i)).pose for i in members),
-        )
-        sizes = jnp.asarray(table(own.size, dtype)[np.array(members)], dtype)
-        size = Vec3(*(sizes[:, k] for k in range(3)))
-        E = poses.R.T
-        s, normal = intersection(E @ (origin - poses.p), E @ along, size)
+        bodies = [context.body(own.bodies[i]).pose for i in members]
+        placed = map(geom_shape, repeat(context.model), members, bodies, repeat(dtype))
+        shape = stack_shapes(list(placed), dtype)
+        E = shape.R.T
+        s, normal = intersection(E @ (origin - shape.p), E @ along, shape.size)
         first, at = smallest(s), jnp.argmin(s)
-        outward = [jnp.broadcast_to(x, s.shape)[at] for x in poses.R @ normal]
+        outward = [jnp.broadcast_to(x, s.shape)[at] for x in shape.R @ normal]
         closer = first < best.distance
         best = Ray(
             jnp.where(closer, first, best.distance), select(closer, Vec3(*outward), best.normal)

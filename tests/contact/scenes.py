@@ -11,12 +11,16 @@ FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
 
 def load(bodies, gravity=9.81, floor=FLOOR):
     """Load a scene of bodies on a floor, with gravity along -z."""
+    return load_text(
+        f'<mujoco><option gravity="0 0 {-gravity}"/><worldbody>{floor}{bodies}</worldbody></mujoco>'
+    )
+
+
+def load_text(xml):
+    """Load a file whose contacts are left out of the motion."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*left out of the model.*contacts")
-        return rb.load(
-            f'<mujoco><option gravity="0 0 {-gravity}"/><worldbody>{floor}{bodies}'
-            "</worldbody></mujoco>"
-        )
+        return rb.load(xml)
 
 
 def ball(radius=0.1, height=0.1, joint='<joint type="slide" axis="0 0 1"/>', mass=1.0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.contact.scenes import ball, kane_levinson, load, row
+from tests.contact.scenes import ball, kane_levinson, load, load_text, row
 
 FREE = "<freejoint/>"
 
@@ -142,3 +142,22 @@ def test_bad_arguments():
             rb.contact.impulse(model, state, **options)
     with pytest.raises(rb.InputError, match="no two geoms"):
         rb.contact.impulse(rb.load("pendulum"), rb.load("pendulum").default_state())
+
+
+@pytest.mark.parametrize(
+    ("pair", "mu"), [('friction="0.1 0.1 0 0 0"', 0.1), ('condim="1"', 0.0), (None, 0.4)]
+)
+def test_the_friction_of_the_file(pair, mu):
+    """An explicit pair has its own friction, or none if its condim is 1."""
+    own = "" if pair is None else f'<pair geom1="ball" geom2="floor" {pair}/>'
+    xml = f"""<mujoco><default><geom friction="0.4"/></default><worldbody>
+        <geom name="floor" type="plane" size="0 0 1"/>
+        <body pos="0 0 0.1"><freejoint/><geom name="ball" size="0.1" mass="1"/></body></worldbody>
+        <contact>{own}</contact></mujoco>"""
+    model = load_text(xml)
+    state = model.default_state().replace(v=jnp.array([3.0, 0, -1.0, 0, 0, 0]))
+    impulses = rb.contact.impulse(model, state).impulses
+    np.testing.assert_allclose(np.linalg.norm(impulses[0, 1:]), mu * impulses[0, 0], atol=1e-12)
+    np.testing.assert_allclose(rb.contact.MoreauContact.of(model).friction, mu, rtol=1e-15)
+    compliant = rb.contact.CompliantContact.of(model, stiffness=1e4)
+    np.testing.assert_allclose(compliant.friction, mu, rtol=1e-15)

@@ -15,16 +15,18 @@ from rbjax.compiler import threads
 from rbjax.compiling import jitted
 from rbjax.contact.geometry.candidates import PairKind, candidates, pair_contacts
 from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
-from rbjax.contact.geometry.shapes import Shape, contact_frame
+from rbjax.contact.geometry.shapes import Shape, contact_frame, geom_shape, stack_shapes
 from rbjax.contact.parameters import pair_parameters
-from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError, UnsupportedFeature
-from rbjax.lanes import Mat3, Vec3, quaternion_matrix
-from rbjax.model import Model
+from rbjax.forces.context import Context
+from rbjax.lanes import Vec3
+from rbjax.model import Model, State
 from rbjax.model.geoms import Geoms
 from rbjax.model.record import Record
-from rbjax.spatial import Transform
+
+#: pairs of geoms by index
+Pairs = tuple[tuple[int, int], ...]
 
 
 class Contacts(Record):
@@ -86,23 +88,12 @@ def detect(
         0.1
     """
     check_model("detect", model)
-    geoms = _geoms(model)
     q = check_array("detect", "q", q, (model.nq,))
-    chosen = geoms.pairs if pairs is None else _pairs_of(model, pairs)
-    _check_kinds(geoms, chosen)
+    chosen = chosen_pairs("detect", model, pairs)
     if reach is not None:
         reach = real_number("detect", "reach", reach, finite=False, traced=True)
         reach = jnp.asarray(reach, q.dtype)
-    distance, position, frame, exists = _program()(model, q, reach, chosen)
-    of_candidates = tuple(chosen[candidate.pair] for candidate in candidates(geoms, chosen))
-    return Contacts(distance, position, frame, exists, of_candidates)
-
-
-def _geoms(model: Model) -> Geoms:
-    """Return the geoms of a model, or raise InputError if it has none."""
-    if model.geoms is None:
-        raise InputError("detect: the model has no geoms; load it from a file with geoms")
-    return model.geoms
+    return _program()(model, q, reach, chosen)
 
 
 def pairs() -> tuple[tuple[str, str], ...]:
@@ -116,36 +107,50 @@ def pairs() -> tuple[tuple[str, str], ...]:
     return tuple(PAIRS)
 
 
-def _detect(model: Model, q: jax.Array, reach: Any, pairs: tuple[tuple[int, int], ...]) -> tuple:
-    """Return distance, position, frame and existence of the candidates of all pairs."""
-    return threads(functools.partial(_candidates, pairs=pairs))(model, q, reach)
+def _detect(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contacts:
+    found = threads(functools.partial(_candidates, pairs=pairs))(model, q, reach)
+    return Contacts(*found, _geoms_of_candidates(model, pairs))
 
 
 #: `_detect` compiled
 _program = jitted(_detect, static_argnames=("pairs",))
 
 
-def _candidates(
-    model: Model, q: jax.Array, reach: Any, pairs: tuple[tuple[int, int], ...]
-) -> tuple:
-    """Return the results of `_detect`, as a function of one sample."""
-    geoms, shapes = _geoms(model), _shapes(model, q)
-    found: dict[int, tuple] = {}
+def contacts_at(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contacts:
+    """Compute the candidate contacts of pairs of geoms in traced code; arguments as in `detect`."""
+    return Contacts(*_candidates(model, q, reach, pairs), _geoms_of_candidates(model, pairs))
+
+
+def _geoms_of_candidates(model: Model, pairs: Pairs) -> Pairs:
+    return tuple(pairs[candidate.pair] for candidate in candidates(model.geoms, pairs))
+
+
+def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> tuple:
+    """Return distance, position, frame and existence of the candidates of all pairs."""
+    geoms: Any = model.geoms
+    if not pairs:
+        zeros = functools.partial(jnp.zeros, dtype=q.dtype)
+        return zeros((0,)), zeros((0, 3)), zeros((0, 3, 3)), jnp.zeros((0,), bool)
     if reach is None:
         parameters = pair_parameters(geoms, pairs)
         reach = jnp.asarray(parameters.margin + parameters.gap, q.dtype)
-    reaches = jnp.broadcast_to(reach, (len(pairs),))
+    reaches = jnp.broadcast_to(reach, (len(pairs),)).astype(q.dtype)
+    now = Context.of(model, 0.0, State(q, jnp.zeros(model.nv, q.dtype)), None)
+    shapes = {
+        g: geom_shape(model, g, now.body(geoms.bodies[g]).pose, q.dtype)
+        for g in sorted({g for pair in pairs for g in pair})
+    }
+    found: dict[int, tuple] = {}
     for kind, members in _by_kind(geoms, pairs).items():
-        one, other = (jnp.asarray([pairs[i][k] for i in members]) for k in (0, 1))
-        a, b = (jax.tree.map(lambda x, i=i: x[i], shapes) for i in (one, other))
-        columns = jax.vmap(functools.partial(_columns, kind, geoms.heights))(
-            a, b, reaches[jnp.asarray(members)]
-        )
+        two = [[shapes[pairs[i][k]] for i in members] for k in (0, 1)]
+        of_pair = functools.partial(_columns, kind, geoms.heights)
+        if len(members) == 1:
+            found[members[0]] = of_pair(two[0][0], two[1][0], reaches[members[0]])
+            continue
+        a, b = (stack_shapes(x, q.dtype) for x in two)
+        columns = jax.vmap(of_pair)(a, b, reaches[jnp.asarray(members)])
         found |= {pair: tuple(x[i] for x in columns) for i, pair in enumerate(members)}
     rows = [found[i] for i in range(len(pairs))]
-    if not rows:
-        zeros = functools.partial(jnp.zeros, dtype=q.dtype)
-        return zeros((0,)), zeros((0, 3)), zeros((0, 3, 3)), jnp.zeros((0,), bool)
     return tuple(jnp.concatenate(x) for x in zip(*rows, strict=True))
 
 
@@ -171,33 +176,39 @@ def _stacked(vectors: Sequence[Vec3], dtype: Any) -> Vec3:
     return Vec3(*(jnp.stack([jnp.asarray(v[i], dtype) for v in vectors]) for i in range(3)))
 
 
-def _pairs_of(model: Model, pairs: Any) -> tuple[tuple[int, int], ...]:
-    """Return pairs of indices of geoms, the geom of the earlier kind first."""
-    if not isinstance(pairs, list | tuple):
-        raise InputError(f"detect: pairs is {shown(pairs)}, expected a sequence of two geoms each")
-    out = []
-    for pair in pairs:
-        if not isinstance(pair, list | tuple) or len(pair) != 2:
-            raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two geoms")
-        kinds = {model.geom(x): _geoms(model).types[model.geom(x)] for x in pair}
-        rank = {i: KINDS.index(k) if k in KINDS else len(KINDS) for i, k in kinds.items()}
-        if len(rank) != 2:
-            raise InputError(f"detect(pairs=...): got {shown(pair)}, expected two different geoms")
-        first, second = sorted(rank, key=lambda i: (rank[i], i))
-        out.append((first, second))
-    return tuple(out)
-
-
-def _check_kinds(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> None:
-    """Raise UnsupportedFeature if a pair has no closed form."""
-    kinds = dict.fromkeys(PairKind.of(geoms, pair) for pair in pairs)
+def chosen_pairs(where: str, model: Model, pairs: Any) -> Pairs:
+    """Return pairs of geoms by index, the geom of the earlier kind first; those of the file if
+    None. Raise if the model has no geoms, or if a pair is wrong or has no closed form."""
+    geoms = model.geoms
+    if geoms is None:
+        raise InputError(f"{where}: the model has no geoms; load it from a file with geoms")
+    chosen = geoms.pairs if pairs is None else _pair_indices(where, model, geoms, pairs)
+    kinds = dict.fromkeys(PairKind.of(geoms, pair) for pair in chosen)
     missing = [f"{kind.one} and {kind.other}" for kind in kinds if not kind.supported]
     if missing:
         known = ", ".join(f"{a} and {b}" for a, b in PAIRS)
         raise UnsupportedFeature(
-            f"detect: no closed form for the contacts of {'; '.join(missing)}; known: {known}; "
+            f"{where}: no closed form for the contacts of {'; '.join(missing)}; known: {known}; "
             "give pairs= without these geoms"
         )
+    return chosen
+
+
+def _pair_indices(where: str, model: Model, geoms: Geoms, pairs: Any) -> Pairs:
+    """Return pairs of names or indices as indices, the geom of the earlier kind first."""
+    if not isinstance(pairs, list | tuple):
+        raise InputError(f"{where}: pairs is {shown(pairs)}, expected a sequence of two geoms each")
+    out = []
+    for pair in pairs:
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
+            raise InputError(f"{where}(pairs=...): got {shown(pair)}, expected two geoms")
+        kinds = {model.geom(x): geoms.types[model.geom(x)] for x in pair}
+        rank = {i: KINDS.index(k) if k in KINDS else len(KINDS) for i, k in kinds.items()}
+        if len(rank) != 2:
+            raise InputError(f"{where}(pairs=...): got {shown(pair)}, expected two different geoms")
+        first, second = sorted(rank, key=lambda i: (rank[i], i))
+        out.append((first, second))
+    return tuple(out)
 
 
 def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[PairKind, list[int]]:
@@ -206,21 +217,3 @@ def _by_kind(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> dict[PairKind, l
     for i, pair in enumerate(pairs):
         out.setdefault(PairKind.of(geoms, pair), []).append(i)
     return out
-
-
-def _shapes(model: Model, q: jax.Array) -> Shape:
-    """Return all geoms in the world, as lanes (ng,)."""
-    geoms = _geoms(model)
-    poses = forward_kinematics(model, q)
-    R = jnp.concatenate([poses.R, jnp.eye(3, dtype=q.dtype)[None]])
-    p = jnp.concatenate([poses.p, jnp.zeros((1, 3), q.dtype)])
-    body = jnp.asarray(geoms.bodies)  # -1, the world, is the last row
-    R, p = R[body], p[body]
-    carrier = Transform(
-        Mat3(*(R[:, i, j] for i in range(3) for j in range(3))), Vec3(*(p[:, i] for i in range(3)))
-    )
-    quat, position, size = (
-        jnp.asarray(x, q.dtype).T for x in (geoms.orientation, geoms.position, geoms.size)
-    )
-    placed = carrier.then(Transform(quaternion_matrix(*quat), Vec3(*position)))
-    return Shape(placed.p, placed.R, Vec3(*size))

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.lanes.arrays import select
+from rbjax.model import Model
+from rbjax.model.leaves import geom_transform, table
+from rbjax.model.links import lane
+from rbjax.spatial import Transform
 
 #: a length that counts as zero, m
 TINY = 1e-15
@@ -35,6 +41,18 @@ class Shape(NamedTuple):
     def axis(self) -> Vec3:
         """Axis z in the world."""
         return self.R.columns[2]
+
+
+def geom_shape(model: Model, geom: int, body: Transform, dtype: Any) -> Shape:
+    """Place a geom in the frame in which the pose of its body is given."""
+    assert model.geoms is not None
+    pose, size = body.then(geom_transform(model, geom, dtype)), table(model.geoms.size, dtype)
+    return Shape(pose.p, pose.R, Vec3(*(lane(size[:, k], geom) for k in range(3))))
+
+
+def stack_shapes(shapes: Sequence[Shape], dtype: Any) -> Shape:
+    """Stack n shapes without surfaces to one shape of lanes (n,)."""
+    return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(lane, dtype) for lane in x]), *shapes)
 
 
 class Contact(NamedTuple):

@@ -19,18 +19,14 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
-from rbjax.contact.geometry.candidates import candidates
-from rbjax.contact.geometry.detection import Contacts, _check_kinds, _pairs_of
+from rbjax.contact.geometry.detection import Contacts, Pairs, chosen_pairs, contacts_at
 from rbjax.contact.impacts.energetic import energetic_impulse
 from rbjax.contact.impacts.impulse_equations import ImpulseProblem, solve_impulses
 from rbjax.contact.impacts.point_velocity import (
-    ContactPoints,
-    Pairs,
     coefficients,
+    constrained_inverse_inertia,
     contact_jacobian,
-    contact_points,
     file_friction,
-    inverse_inertia,
 )
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError, UnknownName
@@ -124,20 +120,13 @@ def impulse(
             "impulse(law='energetic'): friction is inf, expected a finite number: infinite "
             "friction would stop the slip before any normal impulse; law='newton' takes it"
         )
-    assert model.geoms is not None
     given = (model, checked.q, checked.v, e, mu, jnp.asarray(reach, dtype), jnp.asarray(t, dtype))
-    v, p, points, residual, success = _program(*given, chosen, law, int(sweeps))
-    geoms = tuple(chosen[x.pair] for x in candidates(model.geoms, chosen))
-    contacts = Contacts(points.distance, points.position, points.frame, points.exists, geoms)
-    return Impulse(v, p, contacts, residual, success)
+    return _program(*given, chosen, law, int(sweeps))
 
 
 def check_pairs(where: str, model: Model, pairs: Any) -> Pairs:
     """Return the pairs of geoms by index; raise if there are none or if one has no closed form."""
-    if model.geoms is None:
-        raise InputError(f"{where}: the model has no geoms; load it from a file with geoms")
-    chosen = model.geoms.pairs if pairs is None else _pairs_of(model, pairs)
-    _check_kinds(model.geoms, chosen)
+    chosen = chosen_pairs(where, model, pairs)
     if not chosen:
         raise InputError(
             f"{where}: no two geoms of the model may touch, expected at least one pair; give "
@@ -170,23 +159,22 @@ def check_coefficients(
 def _impulse(
     model: Model, q: Any, v: Any, e: Any, mu: Any, reach: Any, t: Any, pairs: Pairs, law: str,
     sweeps: int,
-) -> tuple:  # fmt: skip
-    points = contact_points(model, q, pairs)
-    active = points.exists & (points.distance <= reach)
-    found = impact(model, q, v, e, mu, points, active, pairs, law, t, sweeps)
-    return (found[0], found[1], points, *found[2:])
+) -> Impulse:  # fmt: skip
+    contacts = contacts_at(model, q, reach, pairs)
+    v, p, *found = impact(model, q, v, e, mu, contacts, contacts.exists, law, t, sweeps)
+    return Impulse(v, p, contacts, *found)
 
 
 _program = jax.jit(_impulse, static_argnames=("pairs", "law", "sweeps"))
 
 
 def impact(
-    model: Model, q: Any, v: Any, e: Any, mu: Any, points: ContactPoints, active: Any, pairs: Pairs,
+    model: Model, q: Any, v: Any, e: Any, mu: Any, contacts: Contacts, active: Any,
     law: str = "newton", t: Any = 0.0, sweeps: int = 100,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:  # fmt: skip
     """Compute v after the impact, the impulses (n, 3), the residual and whether it succeeded."""
-    J = contact_jacobian(model, q, points, pairs)
-    W = inverse_inertia(model, q, t)
+    J = contact_jacobian(model, q, contacts)
+    W = constrained_inverse_inertia(model, q, t)
     problem, Y = impact_problem(J, W, v, active, mu)
     if law == "energetic":
         closing = jnp.where(active, problem.u[:, 0], jnp.inf)

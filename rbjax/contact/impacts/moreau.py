@@ -20,9 +20,10 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.constraints.formulation import formulation_of
+from rbjax.contact.geometry.detection import contacts_at
 from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
-from rbjax.contact.impacts.point_velocity import contact_jacobian, contact_points, inverse_inertia
+from rbjax.contact.impacts.point_velocity import constrained_inverse_inertia, contact_jacobian
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.arguments import check_model
@@ -124,14 +125,14 @@ class MoreauContact(Record):
             a = aba.acceleration(model, q, v, tau, f_ext)
         else:
             a = formulation(model, t, state, tau, f_ext)
-        points = contact_points(model, q, self.pairs)
-        J = contact_jacobian(model, q, points, self.pairs)
-        W = inverse_inertia(model, q, t)
+        contacts = contacts_at(model, q, jnp.inf, self.pairs)
+        J = contact_jacobian(model, q, contacts)
+        W = constrained_inverse_inertia(model, q, t)
         later = v + dt * a
-        problem, Y = impact_problem(J, W, later, jnp.ones_like(points.exists), mu)
-        gap = points.distance
+        problem, Y = impact_problem(J, W, later, jnp.ones_like(contacts.exists), mu)
+        gap = contacts.distance
         closing = -matvec(J[:, 0], v)
-        active = points.exists & (gap + dt * problem.u[:, 0] <= 0)
+        active = contacts.exists & (gap + dt * problem.u[:, 0] <= 0)
         touch = jnp.where(gap > 0, -gap, -c * gap) / dt
         b = jnp.where((closing > rest) & (e > 0), jnp.maximum(e * closing, touch), touch)
         problem = problem._replace(b=b, active=active)
