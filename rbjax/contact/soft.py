@@ -107,6 +107,7 @@ def solution_at(
         a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
         assembly = Assembly(model, q, v, dt, t)
         problem = assembly.problem(tau, f_ext)
+        names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
         contacts = rows_of_candidates(problem, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
