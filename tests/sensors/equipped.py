@@ -151,6 +151,9 @@ def rich(*kinds: str) -> mujoco.MjModel:
         add(spec, "RANGEFINDER", "SITE", site, intprm=[1, 0, 0], cutoff=0.3)
         for frame in (("XBODY", "puck"), ("GEOM", "palm"), ("SITE", "hip")):
             add(spec, "INSIDESITE", *frame, ("SITE", site))
+    for camera in spec.cameras:
+        for site in sites:
+            add(spec, "CAMPROJECTION", "SITE", site, ("CAMERA", camera.name))
     add(spec, "GYRO", "SITE", "tip", cutoff=0.2)
     kept = [sensor for sensor in spec.sensors if kinds and sensor.type.name[7:] not in kinds]
     for sensor in kept:

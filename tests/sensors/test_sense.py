@@ -62,6 +62,7 @@ def check_tree(seed, every):
 OTHER = [
     "RANGEFINDER",
     "INSIDESITE",
+    "CAMPROJECTION",
     "MAGNETOMETER",
     "TENDONPOS",
     "TENDONVEL",

@@ -75,7 +75,8 @@ def check_geoms(m: mujoco.MjModel) -> None:
         if not (sizes > 0).all():
             raise ModelError(
                 f"geom {names[i]!r}: the size of the {kinds[i]} is {sizes.tolist()}, expected "
-                "numbers above zero; correct it, or give the geom contype='0' conaffinity='0'"
+                "numbers above zero; correct it, give the geom contype='0' conaffinity='0', "
+                "or load(contacts=False)"
             )
         for field in ("friction", "solref", "solimp", "margin", "gap", "solmix", "size"):
             _check_finite(f"geom {names[i]!r}", field, getattr(m, f"geom_{field}")[i])

@@ -18,10 +18,11 @@ from rbjax import sensors
 from rbjax.forces import Place
 from rbjax.loading.mjcf.sensors import CLASSES
 from rbjax.loading.write.draft import Draft, text, unique
-from rbjax.model import WORLD
+from rbjax.model import WORLD, Frame
 from rbjax.model.leaves import frame_transform
 from rbjax.sensors.actuators import ActuatorSensor, TendonSensor
 from rbjax.sensors.bodies import SubtreeSensor
+from rbjax.sensors.contacts import part_of
 from rbjax.sensors.fixed import FrameSensor, named_frame
 from rbjax.sensors.joints import JointLimitSensor, OneJointSensor
 
@@ -93,14 +94,38 @@ def _magnetometer(draft: Draft, sensor: Any) -> dict[str, str] | None:
 
 
 def _volume(draft: Draft, sensor: Any) -> dict[str, str] | None:
-    name = _site(draft, sensor.frame)
-    shape = {"type": sensor.volume.kind, "size": text(np.array(sensor.volume.size))}
+    site = _site_of_volume(draft, sensor.frame, sensor.volume)
+    inside = isinstance(sensor, sensors.InsideSite)
+    return site and site | (_frame(draft, sensor.other) if inside else {})
+
+
+def _site_of_volume(draft: Draft, frame: Any, volume: sensors.Volume) -> dict[str, str] | None:
+    """Write the shape of a site, unless it has another one. Return the attribute of the site."""
+    name = _site(draft, frame)
+    shape = {"type": volume.kind, "size": text(np.array(volume.size))}
     element = next(x for x in draft.world.iter("site") if x.get("name") == name)
     if any(element.get(key, x) != x for key, x in shape.items()):
         return None
     element.attrib |= shape
-    inside = isinstance(sensor, sensors.InsideSite)
-    return {"site": name} | (_frame(draft, sensor.other) if inside else {})
+    return {"site": name}
+
+
+def _contact(draft: Draft, sensor: Any) -> dict[str, str] | None:
+    out = {"data": " ".join(sensor.data), "reduce": sensor.reduce, "num": str(sensor.num)}
+    for number, given in (("1", sensor.first), ("2", sensor.second)):
+        kind, index = part_of(draft.model, given)
+        if kind == "site":
+            site = _site_of_volume(draft, Frame(site=index), sensor.volume)
+            if site is None:
+                return None
+            out |= site
+        elif kind == "geom":
+            if index not in draft.geoms:
+                return None
+            out["geom" + number] = draft.geoms[index].get("name", "")
+        elif kind:
+            out[kind + number] = _body(draft, index)
+    return out
 
 
 def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
@@ -108,6 +133,20 @@ def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
     if geoms is None or len(draft.geoms) < len(geoms.names):
         draft.note("geoms that rangefinders see, which are not in the file")
     return _at_site(draft, sensor) | {"data": " ".join(sensor.data)}
+
+
+def _camera(draft: Draft, sensor: Any) -> dict[str, str]:
+    """Add a camera with the focal lengths of the sensor, one unit a pixel."""
+    body, placed = frame_transform(draft.model, named_frame(draft.model, sensor.frame), np.float64)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.array([float(x) for x in placed.R]))
+    name = unique(["camera"], [x.get("name", "") for x in draft.world.iter("camera")])[0]
+    size = text(np.array(sensor.resolution))
+    draft.add(
+        body, "camera", name=name, pos=text(np.array([float(x) for x in placed.p])),
+        quat=text(quat), resolution=size, sensorsize=size, focal=text(np.array(sensor.focal)),
+    )  # fmt: skip
+    return {"site": _site(draft, sensor.seen), "camera": name}
 
 
 def _relative(draft: Draft, sensor: Any) -> dict[str, str]:
@@ -142,9 +181,11 @@ Writer = Callable[[Draft, Any], dict[str, str] | None]
 _WRITERS: list[tuple[Any, Writer]] = [
     (sensors.Magnetometer, _magnetometer),
     (sensors.Rangefinder, _rangefinder),
+    (sensors.CameraProjection, _camera),
     ((sensors.Touch, sensors.InsideSite), _volume),
     ((sensors.Gyro, sensors.Velocimeter, sensors.Accelerometer), _at_site),
     ((sensors.ForceSensor, sensors.TorqueSensor), _at_site),
+    (sensors.ContactSensor, _contact),
     (FrameSensor, _relative),
     (OneJointSensor, _joint),
     (ActuatorSensor, _actuator),
@@ -171,13 +212,14 @@ def sensors_differ(draft: Draft, again: Any, written: list[sensors.NamedSensor])
 def _facts(model: Any, sensor: Any) -> list:
     """Return the type of a sensor and its fields, the frames as bodies and rounded poses."""
     out: list = [type(sensor)]
-    for name in ("frame", "reference", "other"):
+    for name in ("frame", "reference", "other", "seen"):
         given = getattr(sensor, name, None)
         if given is not None:
             body, placed = frame_transform(model, named_frame(model, given), np.float64)
             out.append((body, *(round(float(x), 9) + 0.0 for x in (*placed.R, *placed.p))))
-    for name in ("field", "data", "volume"):
+    for name in ("field", "data", "volume", "resolution"):
         out.append(getattr(sensor, name, None))
+    out.append(np.round(getattr(sensor, "focal", 0.0), 3).tolist())  # MuJoCo keeps single precision
     if isinstance(sensor, JointLimitSensor):
         out.append(sensor.margin)
     if isinstance(sensor, TendonSensor):
