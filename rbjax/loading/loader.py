@@ -35,6 +35,7 @@ from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
 from rbjax.loading.mjcf.contacts import (
     check_geoms,
+    check_rows,
     closed_pairs,
     contacts_left_out,
     kinds_of,
@@ -136,6 +137,7 @@ def load(
     mixed: tuple[str, ...] = ()
     if contacts:
         check_geoms(compiled)
+        check_rows(compiled)
         dropped += contacts_left_out(compiled)
         mixed = mixed_references(compiled)
     if any(x.startswith(features.COLLISION) for x in lost):  # from a URDF, with the link names
@@ -143,9 +145,9 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(entries)}"
         for what, entries in (
-            ("left out of the model", dropped),
+            ("left out of the model", [features.with_cure(x) for x in dropped]),
             (_ACTIVE, active),
             (_MIXED, mixed),
         )

@@ -139,6 +139,39 @@ def test_references_of_mixed_signs() -> None:
         rb.load(m, contacts=True, strict=True)
 
 
+ROPES = """<mujoco><worldbody><body><joint name="a" range="0 1" frictionloss="1"/>
+  <geom size=".1"/><body pos="1 0 0"><joint name="b"/><geom size=".1"/></body></body></worldbody>
+  <tendon><fixed name="belt" range="-1 1" frictionloss="2"><joint joint="a" coef="1"/>
+  <joint joint="b" coef="2"/></fixed></tendon>
+  <equality><joint name="gear" joint1="a" joint2="b"/></equality></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ("jnt_margin", "joint 'a': margin has nan"),
+        ("dof_solimp", "joint 'a': solimp of the friction has nan"),
+        ("tendon_margin", "tendon 'belt': margin has nan"),
+        ("tendon_solref_fri", "tendon 'belt': solref_fri has nan"),
+        ("eq_solref", "equality 'gear': solref has nan"),
+    ],
+)
+def test_rows_that_are_wrong(field: str, message: str) -> None:
+    m = mujoco.MjModel.from_xml_string(ROPES)
+    getattr(m, field)[0] = np.nan
+    with pytest.raises(rb.ModelError, match=message):
+        quiet(m, contacts=True)
+
+
+def test_mixed_signs_of_tendons_and_equalities() -> None:
+    m = mujoco.MjModel.from_xml_string(ROPES)
+    m.tendon_solref_lim[0] = m.tendon_solref_fri[0] = m.eq_solref[0] = [0.02, -1.0]
+    message = r"tendon limits \(belt\); tendon friction loss \(belt\); equalities \(gear\)"
+    with pytest.warns(UserWarning, match=message):
+        model = rb.load(m, contacts=True)
+    assert model.constraints[0].solref.tolist() == [0.02, 1.0]
+
+
 def test_collision_shapes_of_a_urdf() -> None:
     shape = "<collision><geometry><{}/></geometry></collision></link>"
     text = urdf(link("base"), link("arm"), joint("turn", "base", "arm", "continuous"))

@@ -228,3 +228,37 @@ def test_cassie_on_the_ground(cone: str) -> None:
     m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
     m.opt.timestep = 0.002
     assert compare(m, steps=400, every=20) >= 2
+
+
+SENSORS = {
+    "loops": """<sensor><force site="pad"/><torque site="pad"/><accelerometer site="pad"/>
+      <force site="hand"/></sensor>""",
+    "arms": """<sensor><tendonlimitfrc tendon="cable"/><tendonlimitfrc tendon="belt"/>
+      <tendonlimitfrc tendon="one"/></sensor>""",
+}
+
+
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_sensors_read_the_forces_of_rows(scene: str) -> None:
+    """Force sensors see connects and welds, and limit sensors the limits of tendons."""
+    bodies, rest = SCENES[scene]
+    for name, at in (("top", "pad"), ("held", "hand")):
+        start = bodies.find(f'<body name="{name}"')
+        if start >= 0:
+            end = bodies.index("<geom", start)
+            bodies = f'{bodies[:end]}<site name="{at}"/>{bodies[end:]}'
+    text = OPTION.format(cone="elliptic") + BODIES + f"<worldbody>{FLOOR}{bodies}</worldbody>"
+    m = mujoco.MjModel.from_xml_string(f"<mujoco>{text}{rest}{SENSORS[scene]}</mujoco>")
+    m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
+    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
+    sense = jax.jit(lambda q, v: rb.sense(model, State(q, v)))
+    d.qvel[:] = 0.5
+    largest = np.zeros(m.nsensordata)
+    for _ in range(6):
+        for _ in range(40):
+            mujoco.mj_step(m, d)
+        mujoco.mj_forward(m, d)
+        found = sense(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
+        assert relative_error(found, d.sensordata, floor=1.0) < F64_PARITY
+        largest = np.maximum(largest, abs(d.sensordata))
+    assert (largest > 1e-3).sum() >= 3
