@@ -91,10 +91,8 @@ def _has_subjaxpr(eqn: JaxprEqn) -> bool:
 
 @dataclass(frozen=True)
 class Kind:
-    """The key of the derivative rule of an equation: its primitive, parameters and avals.
-
-    `moving`: flags of inputs with tangents. `present`: flags of results with cotangents.
-    """
+    """The key of an equation's derivative rule. `moving`, `present`: flags of inputs with tangents
+    and of results with cotangents."""
 
     primitive: core.Primitive
     params: tuple
