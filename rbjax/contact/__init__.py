@@ -11,6 +11,7 @@
 """
 
 from rbjax.contact.compliant import CompliantContact
+from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
 from rbjax.contact.impacts.impulses import Impulse, impulse
@@ -22,6 +23,7 @@ from rbjax.contact.solve import solve
 
 __all__ = [
     "CompliantContact",
+    "ContactForces",
     "ContactSolution",
     "Contacts",
     "CoulombContact",
