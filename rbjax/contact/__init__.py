@@ -12,6 +12,7 @@
 
 from rbjax.contact.compliant import CompliantContact
 from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.contact_solution import solve
 from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
 from rbjax.contact.impacts.impulses import Impulse, impulse
@@ -19,7 +20,6 @@ from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import ContactSolution
-from rbjax.contact.solve import solve
 
 __all__ = [
     "CompliantContact",
