@@ -7,7 +7,11 @@ import pytest
 
 import rbjax as rb
 
-PAGES = [pytest.param("docs/extending.md", marks=pytest.mark.slow), "docs/wheeled.md"]
+PAGES = [
+    pytest.param("docs/contacts.md", marks=pytest.mark.slow),
+    pytest.param("docs/extending.md", marks=pytest.mark.slow),
+    "docs/wheeled.md",
+]
 
 
 @pytest.mark.parametrize("page", PAGES)
