@@ -92,6 +92,7 @@ def multipliers(
 ) -> jax.Array:
     """Compute the constraint forces l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...).
 
+    No contact acts; `rb.contact.solve` gives the forces of a model with contacts.
     For rows of `Soft` constraints, l are the forces of MuJoCo's model. If rows are redundant, l has
     the least norm with each multiplier weighted by the square root of its entry of
     diag(G M^-1 G^T). Multipliers are in N for rows in m, and in N m for angles and cosines.

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
 from rbjax.contact.coulomb import CoulombContact
+from rbjax.contact.inverse_weights import with_weights
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -74,7 +75,8 @@ class Field:
         change its leaves (`eqx.tree_at`, `jax.tree.map`).
     dynamics: map from forces to accelerations, or to the velocity after a step.
     dt: step in s that force elements and contacts read; None if no step is fixed.
-    precomputed: model with its link constants, for code that does not change the leaves.
+    precomputed: model with its link constants and inverse weights, for code that does not change
+        the leaves.
     """
 
     model: Model
@@ -83,7 +85,8 @@ class Field:
     precomputed: Model = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "precomputed", self.model)
+        soft = isinstance(self.dynamics, SoftContact)
+        object.__setattr__(self, "precomputed", with_weights(self.model) if soft else self.model)
         object.__setattr__(self, "model", without_constants(self.model))
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
@@ -219,6 +222,11 @@ def dynamics_of(
                 "leave contacts out by model.replace(contact=None)"
             )
         if law is not None:
+            if constraints is not None:
+                raise InputError(
+                    f"{where}: got constraints={constraints!r}, and the contact law {law!r} of the "
+                    "model solves its constraints too; give none, or load(contacts=False)"
+                )
             return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics
     if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):

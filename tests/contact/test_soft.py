@@ -60,7 +60,7 @@ def compare(m: mujoco.MjModel, steps: int = 300, every: int = 30) -> int:
 
     def found(q, v, tau):
         problem = detected(model, q, v, tau, None)
-        return solve(problem), sum(slots.length for slots in problem.slots)
+        return solve(problem), sum(slots.found.length for slots in problem.slots)
 
     run, most = jax.jit(rb.threads(found)), 0
     for q, v, tau, a, contacts in states_of(m, steps, every):

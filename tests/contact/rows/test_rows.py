@@ -143,8 +143,8 @@ def test_batches(n: int) -> None:
 
 def test_rollout_equals_mujoco() -> None:
     m = compiled("arms")
-    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    model, d = rb.load(m), mujoco.MjData(m)
     for _ in range(200):
         mujoco.mj_step(m, d)
     path = jax.jit(lambda state: rb.rollout(model, state, steps=200))(model.default_state())
@@ -156,7 +156,7 @@ def test_all_rows_are_loaded() -> None:
     model = rb.load(m, contacts=True)
     assert not [x for x in model.dropped if "tendon" in x or "equality" in x]
     assert [type(x) for x in model.constraints] == [rb.constraints.Soft] * 2
-    assert any("tendon limits" in x for x in rb.load(m).dropped)
+    assert any("tendon limits" in x for x in rb.load(m, contacts=False).dropped)
 
 
 def test_rigid_constraints_are_named() -> None:
@@ -172,7 +172,8 @@ def test_mimics_are_soft() -> None:
     """A mimic of a URDF is MuJoCo's joint equality with default parameters."""
     link = '<inertial><mass value="1"/><origin xyz=".2 0 0"/><inertia ixx=".1" iyy=".1" izz=".1" ' \
            'ixy="0" ixz="0" iyz="0"/></inertial>'  # fmt: skip
-    joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>' \
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>' \
+            '<limit lower="-3" upper="3" effort="9" velocity="9"/>' \
             '<origin xyz=".4 0 0"/><axis xyz="0 1 0"/>{3}</joint>'  # fmt: skip
     text = "<robot name='r'>" + "".join(f'<link name="{x}">{link}</link>' for x in "xyz")
     text += joint.format("j", "x", "y", "")
@@ -227,3 +228,37 @@ def test_cassie_on_the_ground(cone: str) -> None:
     m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
     m.opt.timestep = 0.002
     assert compare(m, steps=400, every=20) >= 2
+
+
+SENSORS = {
+    "loops": """<sensor><force site="pad"/><torque site="pad"/><accelerometer site="pad"/>
+      <force site="hand"/></sensor>""",
+    "arms": """<sensor><tendonlimitfrc tendon="cable"/><tendonlimitfrc tendon="belt"/>
+      <tendonlimitfrc tendon="one"/></sensor>""",
+}
+
+
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_sensors_read_the_forces_of_rows(scene: str) -> None:
+    """Force sensors see connects and welds, and limit sensors the limits of tendons."""
+    bodies, rest = SCENES[scene]
+    for name, at in (("top", "pad"), ("held", "hand")):
+        start = bodies.find(f'<body name="{name}"')
+        if start >= 0:
+            end = bodies.index("<geom", start)
+            bodies = f'{bodies[:end]}<site name="{at}"/>{bodies[end:]}'
+    text = OPTION.format(cone="elliptic") + BODIES + f"<worldbody>{FLOOR}{bodies}</worldbody>"
+    m = mujoco.MjModel.from_xml_string(f"<mujoco>{text}{rest}{SENSORS[scene]}</mujoco>")
+    m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
+    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
+    sense = jax.jit(lambda q, v: rb.sense(model, State(q, v)))
+    d.qvel[:] = 0.5
+    largest = np.zeros(m.nsensordata)
+    for _ in range(6):
+        for _ in range(40):
+            mujoco.mj_step(m, d)
+        mujoco.mj_forward(m, d)
+        found = sense(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
+        assert relative_error(found, d.sensordata, floor=1.0) < F64_PARITY
+        largest = np.maximum(largest, abs(d.sensordata))
+    assert (largest > 1e-3).sum() >= 3
