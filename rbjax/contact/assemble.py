@@ -20,7 +20,8 @@ from rbjax.contact.problem import Problem, Tree, stacked
 from rbjax.contact.rows.dof_rows import dof_rows
 from rbjax.contact.rows.equality_rows import equality_rows
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.contact.rows.tendon_rows import has_tendon_rows, tendon_rows, tendon_weights
+from rbjax.contact.rows.tendon_rows import tendon_rows
+from rbjax.contact.rows.tendon_weights import has_tendon_rows, tendon_weights
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
