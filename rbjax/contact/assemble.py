@@ -70,6 +70,7 @@ class Assembly:
     """
 
     def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None):
+        model = _in_dtype(model, q.dtype)
         self.model, self.q, self.v, self.top = model, q, v, model.topology
         self.dt = model.timestep if dt is None else dt
         self.d = Unrolled(model, prepare(model, q.dtype))
@@ -210,6 +211,17 @@ class Assembly:
         shared = self._options
         a = reference(r, rate, d, solref, solimp, shared.dt, refsafe=shared.refsafe)
         return 1.0 / regularisation(d, lane(self._weights[1], dof)), a
+
+
+def _in_dtype(model: Model, dtype: Any) -> Model:
+    """Convert the traced parameters of contacts and limits to a dtype."""
+
+    def converted(tree: Any) -> Any:
+        return jax.tree.map(lambda x: x.astype(dtype) if is_traced(x) else x, tree)
+
+    constants = model.execution.constants
+    parts = {name: converted(getattr(model, name)) for name in ("geoms", "solver", "joints")}
+    return model.replace(**parts, constants=constants)
 
 
 def columns(tree: Any) -> Any:
