@@ -8,7 +8,7 @@ force over many bodies, by unrolled code or by a loop whose program contains the
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -333,8 +333,8 @@ def on_each(
     columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
 
     def written_out() -> Loads:
-        each = ((bodies[i], _known(lane, columns, i)) for i in moving)
-        return sum((act(context.body(b), *own) for b, own in each), Loads())
+        each = frames_with(context, bodies, *numbers)
+        return sum((act(frame, *own) for frame, own in each), Loads())
 
     if isinstance(context.links.driver, Unrolled) or not moving:
         return written_out()
@@ -358,6 +358,17 @@ def on_each(
     except _NotItsOwn:
         return written_out()
     return Loads({}, context.links.scattered(index, forces))
+
+
+def frames_with(
+    context: Context, bodies: Sequence[int], *numbers: Any
+) -> Iterator[tuple[Frame, list]]:
+    """Iterate over the frames of the bodies that move, with their rows of the parameters, as
+    `on_each` passes them."""
+    columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
+    for i, b in enumerate(bodies):
+        if context.model.topology.body_links[b] != WORLD:
+            yield context.body(b), _known(lane, columns, i)
 
 
 #: placeholder index of the body's link in a loop over bodies
