@@ -74,14 +74,9 @@ class Context:
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        t: Any,
-        state: State,
-        ctrl: Any,
-        dt: Any = None,
+        cls, model: Model, t: Any, state: State, ctrl: Any, dt: Any = None,
         d: Driver | None = None,
-    ) -> Context:
+    ) -> Context:  # fmt: skip
         """Make the context of a state with the x of all elements, on a driver (None: default)."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves of the model
@@ -333,7 +328,7 @@ def on_each(
     columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
 
     def written_out() -> Loads:
-        each = frames_with(context, bodies, *numbers)
+        each = frames_of(context, bodies, *numbers)
         return sum((act(frame, *own) for frame, own in each), Loads())
 
     if isinstance(context.links.driver, Unrolled) or not moving:
@@ -360,11 +355,8 @@ def on_each(
     return Loads({}, context.links.scattered(index, forces))
 
 
-def frames_with(
-    context: Context, bodies: Sequence[int], *numbers: Any
-) -> Iterator[tuple[Frame, list]]:
-    """Iterate over the frames of the bodies that move, with their rows of the parameters, as
-    `on_each` passes them."""
+def frames_of(context: Context, bodies: Sequence[int], *numbers: Any) -> Iterator[tuple]:
+    """Iterate over the frames of the bodies that move, with their rows of the parameters."""
     columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
     for i, b in enumerate(bodies):
         if context.model.topology.body_links[b] != WORLD:

@@ -39,7 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.context import Context, Frame, frames_with, on_each
+from rbjax.forces.context import Context, Frame, frames_of, on_each
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul, neg, quaternion_matrix
@@ -135,7 +135,7 @@ class InertiaBoxFluid(Element):
         axes = rotations(table(self.orientation, context.q.dtype))
         wind, out = in_lanes(self.wind, context), list[Slope]()
         given = axes, com, self._drag(context)
-        for frame, (turn, center, drag) in frames_with(context, self.bodies, *given):
+        for frame, (turn, center, drag) in frames_of(context, self.bodies, *given):
             box = frame.then(Transform(turn, center))
             out += wrench_slopes(box, drag.wrench, relative_twist(box, wind), context.q.dtype)
         return out
@@ -291,7 +291,7 @@ class EllipsoidFluid(Element):
         axes = rotations(table(self.orientation, context.q.dtype))
         wind, out = in_lanes(self.wind, context), list[Slope]()
         given = axes, self.position, self._ellipsoids(context)
-        for frame, (turn, position, own) in frames_with(context, self.bodies, *given):
+        for frame, (turn, position, own) in frames_of(context, self.bodies, *given):
             here = frame.then(Transform(turn, position))
             V = relative_twist(here, wind)
             out += wrench_slopes(here, partial(_wrench, own=own), V, context.q.dtype)
