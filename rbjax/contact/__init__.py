@@ -4,12 +4,14 @@
     solve              acceleration and forces of soft contact, with the report of the solver
     impulse            velocity after an impact (Newton's or energetic restitution)
     SoftContact        MuJoCo's soft contact
+    CoulombContact     dynamics of a step: soft normal contact, true Coulomb friction and sticking
     CompliantContact   force element: Hunt-Crossley and smooth friction
     MoreauContact      dynamics of a step: impulses with restitution and Coulomb friction
 `rb.simulate_impacts` integrates from impact to impact.
 """
 
 from rbjax.contact.compliant import CompliantContact
+from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
 from rbjax.contact.impacts.impulses import Impulse, impulse
 from rbjax.contact.impacts.moreau import MoreauContact
@@ -22,6 +24,7 @@ __all__ = [
     "CompliantContact",
     "ContactSolution",
     "Contacts",
+    "CoulombContact",
     "Impulse",
     "MoreauContact",
     "SoftContact",

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.geometry.candidates import PairKind
@@ -16,15 +17,19 @@ from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
-from rbjax.contact.scalar_rows import FRICTION, LIMIT, ScalarRow
+from rbjax.contact.rows.dof_rows import dof_rows
+from rbjax.contact.rows.equality_rows import equality_rows
+from rbjax.contact.rows.scalar_row import ScalarRow
+from rbjax.contact.rows.tendon_rows import has_tendon_rows, tendon_rows, tendon_weights
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
+from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
-from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, is_zero, mul, neg, sub, total
-from rbjax.model import WORLD, Model, prepare
+from rbjax.forces.context import Context
+from rbjax.lanes import Mat3, Vec3, sub, unpack
+from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
 
@@ -66,49 +71,62 @@ class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
     The origin is the last link of the first body that moves. `dt` is the step in s, None for the
-    model's timestep.
+    model's timestep, and `t` the time in s, which constraints read.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None):
+    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
         model = _in_dtype(model, q.dtype)
-        self.model, self.q, self.v, self.top = model, q, v, model.topology
+        self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
         self.dt = model.timestep if dt is None else dt
-        self.d = Unrolled(model, prepare(model, q.dtype))
+        self.touching = Touching.of(model)
+        self.d = self._driver()
         self.joints = self.d.joints(q, v)
-        poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
+        poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
         self.origin = poses[min(self.top.last_links.values())].p
         self._poses = [Transform(x.R, x.p - self.origin) for x in poses]
-        self.touching = Touching.of(model)
 
     def problem(self, tau: jax.Array, f_ext: LinkForces | None) -> Problem:
         """Return the problem for applied forces. Contacts are not yet detected."""
         d, dtype = self.d, self.q.dtype
         bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
-        rhs = [sub(t, b) for t, b in zip(d.lanes(tau), bias, strict=True)]
+        rhs = [sub(t, b) for t, b in zip(unpack(tau), d.whole(bias), strict=True)]
         world = self._world() if self.touching.geoms else None
-        return Problem(self._tree(), rhs, self._sets(), self._rows(), world, dtype)
+        return Problem(self._tree(), rhs, self._sets(), self._rows, world, dtype)
 
-    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> list[Lane]:
-        """Compute M a + b - J^T f_ext."""
+    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> Any:
+        """Compute M a + b - J^T f_ext, per link."""
         d = self.d
         return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
+
+    def _driver(self) -> Driver:
+        """Return a driver whose whole form is a list."""
+        model, dtype = self.model, self.q.dtype
+        if self._articulated and kernels_available():
+            d = driver(on_threads(model, dtype), dtype)
+            if d.listed:
+                return d
+        return Unrolled(model, prepare(model, dtype))
 
     @cached_property
     def _articulated(self) -> bool:
         """Whether all contacts are with the world, other rows are on single dofs, and all links are
         rigid."""
-        kinds, limited = self.top.joints, self.model.solver.limited  # type: ignore[union-attr]
         world = all(WORLD in pair for pair in self.touching.link_pairs)
-        rigid = all(is_zero(x) for x in jax.tree.leaves([joint.modal for joint in self.joints]))
-        return rigid and world and not any(kinds[j].quaternion for j in limited)
+        rigid = not any(dof.kind.modal for dof in self.top.dofs)
+        return rigid and world and not self._rows_of_several_dofs
+
+    @property
+    def _rows_of_several_dofs(self) -> bool:
+        own, kinds = self.model.solver, self.top.joints
+        assert own is not None
+        balls = any(kinds[j].quaternion for j in own.limited)
+        return balls or has_tendon_rows(self.model) or bool(self.model.constraints)
 
     def _tree(self) -> Tree | ArticulatedTree:
         links = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            parts = zip(self.joints, self.d.constants, strict=True)
-            X = [joint.transform(link) for joint, link in parts]
-            return ArticulatedTree(self.d, self.joints, X, *links, weights)
+            return ArticulatedTree(self.d, self.joints, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
         M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
@@ -175,42 +193,17 @@ class Assembly:
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
         return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe)
 
+    @cached_property
     def _rows(self) -> list[ScalarRow]:
-        """Return the rows of limits and friction loss."""
-        own = columns(self.model.solver)
-        rows = [row for j in own.limited for row in self._limits(own, j)]
-        for i in own.rubbing:
-            solref, solimp = _row(own.friction_solref, i), _row(own.friction_solimp, i)
-            D, a = self._row(0.0, self.v[i], i, solref, solimp)
-            floss = lane(own.frictionloss, i)
-            rows.append(ScalarRow(FRICTION, {i: 1.0}, D, a, floss, ("dof", i)))
-        return rows
-
-    def _limits(self, own: Any, j: int) -> list[ScalarRow]:
-        low, high = _row(columns(self.model.joints.range), j)
-        margin, i, k = lane(own.limit_margin, j), self.top.joint_v[j], self.top.joint_q[j]
-        if self.top.joints[j].quaternion:
-            angle, axis = _angle_and_axis(*(self.q[k + n] for n in range(4)))
-            ends = [(high - angle, {i + n: neg(x) for n, x in enumerate(axis)})]
-        else:
-            ends = [(self.q[k] - low, {i: 1.0}), (high - self.q[k], {i: -1.0})]
-        rows = []
-        for distance, J in ends:
-            active = distance < margin
-            r = jnp.where(active, distance - margin, 0.0)
-            rate = total(mul(x, self.v[n]) for n, x in J.items())
-            D, a = self._row(r, rate, i, _row(own.limit_solref, j), _row(own.limit_solimp, j))
-            rows.append(ScalarRow(LIMIT, J, jnp.where(active, D, 0.0), a, 0.0, ("joint", j)))
-        return rows
-
-    def _row(
-        self, r: Lane, rate: Lane, dof: int, solref: list[Lane], solimp: list[Lane]
-    ) -> tuple[Lane, Lane]:
-        """Compute inverse regularization and reference acceleration of a row on a dof."""
-        d = impedance(r, solimp)
-        shared = self._options
-        a = reference(r, rate, d, solref, solimp, shared.dt, refsafe=shared.refsafe)
-        return 1.0 / regularisation(d, lane(self._weights[1], dof)), a
+        """The rows of limits, friction loss and equalities."""
+        model, options = self.model, self._options
+        rows = dof_rows(model, self.q, self.v, self._weights[1], options)
+        if not has_tendon_rows(model) and not model.constraints:
+            return rows
+        context = Context.of(model, self.t, State(self.q, self.v), None, d=self.d)
+        if has_tendon_rows(model):
+            rows += tendon_rows(context, tendon_weights(model), options)
+        return rows + equality_rows(context, options)
 
 
 def _in_dtype(model: Model, dtype: Any) -> Model:
@@ -222,23 +215,3 @@ def _in_dtype(model: Model, dtype: Any) -> Model:
     constants = model.execution.constants
     parts = {name: converted(getattr(model, name)) for name in ("geoms", "solver", "joints")}
     return model.replace(**parts, constants=constants)
-
-
-def columns(tree: Any) -> Any:
-    """Convert concrete leaves to numpy arrays, whose entries are literals."""
-    return jax.tree.map(lambda x: x if is_traced(x) else np.asarray(x, np.float64), tree)
-
-
-def _row(table: Any, i: int) -> list[Lane]:
-    return [lane(table[i], k) for k in range(table.shape[1])]
-
-
-def _angle_and_axis(w: Lane, x: Lane, y: Lane, z: Lane) -> tuple[Lane, Vec3]:
-    """Compute the angle in [0, pi] and the axis of a unit quaternion."""
-    sign = jnp.where(w < 0, -1.0, 1.0)
-    u = Vec3(x, y, z) * sign
-    square = u.dot(u)
-    small = square < 1e-24
-    s = jnp.sqrt(jnp.where(small, 1.0, square))
-    axis = [jnp.where(small, e, a / s) for a, e in zip(u, (1.0, 0.0, 0.0), strict=True)]
-    return jnp.where(small, 0.0, 2.0 * jnp.arctan2(s, w * sign)), Vec3(*axis)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.soft import SoftContact
 from rbjax.errors import InputError
@@ -13,6 +14,7 @@ from rbjax.model import Model
 #: name -> constructor of the dynamics of a model
 _LAWS: dict[str, Callable[[Model], Any]] = {
     "mujoco": lambda model: SoftContact(),
+    "coulomb": lambda model: CoulombContact(),
     "impulse": MoreauContact.of,
 }
 
@@ -26,7 +28,7 @@ def laws() -> dict[str, Callable[[Model], Any]]:
     Example:
         >>> import rbjax as rb
         >>> list(rb.contact.laws())
-        ['mujoco', 'impulse']
+        ['mujoco', 'coulomb', 'impulse']
     """
     return dict(_LAWS)
 
@@ -40,7 +42,7 @@ def law_of(where: str, model: Model, contact: Any) -> Any:
     known: Callable[[Model], Any] | None = None
     if isinstance(contact, str):
         known = _LAWS.get(contact)
-    elif isinstance(contact, SoftContact | MoreauContact):
+    elif isinstance(contact, SoftContact | CoulombContact | MoreauContact):
         known = lambda model: contact  # noqa: E731
     if known is None:
         raise InputError(
@@ -48,6 +50,6 @@ def law_of(where: str, model: Model, contact: Any) -> Any:
             "arguments, such as rb.contact.SoftContact(iterations=...)"
         )
     law = known(model)
-    if isinstance(law, SoftContact):
+    if isinstance(law, SoftContact | CoulombContact):
         law.check(where, model)
     return law

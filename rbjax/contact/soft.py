@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
     ContactForces,
@@ -17,6 +18,7 @@ from rbjax.contact.contact_forces import (
 )
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.problem import Problem
+from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import (
@@ -27,35 +29,35 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_jvp,
 )
 from rbjax.errors import InputError
-from rbjax.lanes import batch_first, unpack
+from rbjax.lanes import batch_first, pack
 from rbjax.model import Model, State
 
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None,
+    dt: Any = None, t: Any = 0.0,
 ) -> Problem:  # fmt: skip
     """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
     for the model's timestep."""
-    problem = Assembly(model, q, v, dt).problem(tau, f_ext)
+    problem = Assembly(model, q, v, dt, t).problem(tau, f_ext)
     return problem.detect()
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS, dt: Any = None,
+    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """Compute the acceleration (nv,) with contacts, limits and friction loss. Return with it the
-    number of Newton steps, as a real number, and the error of the solution.
+    """Compute the acceleration (nv,) with contacts, limits, friction loss and equalities. Return
+    with it the number of Newton steps, as a real number, and the error of the solution.
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
     The features of geoms that touch are held constant.
     """
-    given, rebuilt = split_tracers((model, f_ext, dt))
+    given, rebuilt = split_tracers((model, f_ext, dt, t))
 
     def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
-        model, f_ext, dt = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt)
+        model, f_ext, dt, t = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, dt, t)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
@@ -63,18 +65,13 @@ def contact_acceleration(
 
     def solved(*at):
         problem, found = solved_at(*at)
-        factors = factorize_at(problem, found)
-
-        def change(b):
-            return jnp.stack([jnp.asarray(y, b.dtype) for y in factors.solve(list(b))])
-
-        return _with_report(found), [change]
+        return _with_report(found), [factorize_at(problem, found).solve]
 
     def residual(changed, q, v, tau, a):
-        model, f_ext, dt = rebuilt(changed)
-        assembly = Assembly(model, q, v, dt)
+        model, f_ext, dt, t = rebuilt(changed)
+        assembly = Assembly(model, q, v, dt, t)
         problem, d = assembly.problem(tau, f_ext), assembly.d
-        pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
+        pushes = pack(problem.constraint_forces(a), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
@@ -86,31 +83,32 @@ def _with_report(found: Solution) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 def solution_at(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS, dt: Any = None,
+    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0,
 ) -> ContactSolution:  # fmt: skip
     """Solve the contact problem at a state under applied forces.
 
     The values share one narrow phase. The derivatives of the acceleration are implicit. Those of
     the forces follow from it through all candidates.
     """
-    given, rebuilt = split_tracers((model, f_ext, dt))
+    given, rebuilt = split_tracers((model, f_ext, dt, t))
     names: list[tuple] = []  # of the rows, which are known after tracing
 
     def plain(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
-        model, f_ext, dt = rebuilt(changed)
-        assembly = Assembly(model, q, v, dt)
-        problem = assembly.problem(tau, f_ext).detect(places=True)
+        model, f_ext, dt, t = rebuilt(changed)
+        assembly = Assembly(model, q, v, dt, t)
+        problem = assembly.problem(tau, f_ext).detect(gap=True)
         names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
         found = solve(problem, iterations=iterations)
         contacts = rows_of_slots(problem, found, assembly.origin)
         return SolutionArrays.of(problem, contacts, *_with_report(found))
 
     def differentiable(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
-        model, f_ext, dt = rebuilt(changed)
-        a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt)
-        assembly = Assembly(model, q, v, dt)
+        model, f_ext, dt, t = rebuilt(changed)
+        a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
+        assembly = Assembly(model, q, v, dt, t)
         problem = assembly.problem(tau, f_ext)
-        contacts = rows_of_candidates(problem, unpack(a), assembly.origin)
+        names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
+        contacts = rows_of_candidates(problem, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
     def rule(primals: tuple, tangents: tuple) -> tuple:
@@ -123,10 +121,12 @@ def solution_at(
 
 @dataclass(frozen=True)
 class SoftContact:
-    """MuJoCo's law of contact, limits and friction loss, as a `Dynamics`.
+    """MuJoCo's law of contact, limits, friction loss and equalities, as a `Dynamics`.
 
     The acceleration minimises Gauss' principle with soft constraints. Results equal those of MuJoCo
-    with Newton's method at tolerance 0. The least time constant of a contact is two steps.
+    with Newton's method at tolerance 0. The least time constant of a row is two steps. The
+    constraints of the model must be soft (`rbjax.constraints.Soft`), as `rb.load(contacts=True)`
+    makes the equalities of a file.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
@@ -150,14 +150,22 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        given = state.q, state.v, tau, f_ext, self.iterations, self.dt
-        return contact_acceleration(model, *given)[0]
+        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
+            return contact_acceleration(model, q, v, tau, *rest)[0]
+
+        return threads(solved)(q, v, tau)
 
     def solve(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None
     ) -> ContactSolution:
         """Compute the acceleration with all forces, and the report of the solver."""
-        return solution_at(model, state.q, state.v, tau, f_ext, self.iterations, self.dt)
+        return solution_at(*self._arguments(model, t, state, tau, f_ext))
+
+    def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
+        t = t if model.constraints else 0.0  # only constraints depend on time
+        return model, state.q, state.v, tau, f_ext, self.iterations, self.dt, t
 
     def contact_forces(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
@@ -165,16 +173,11 @@ class SoftContact:
         """Compute the forces of all candidate contacts."""
         return self.solve(model, t, state, tau, f_ext).contacts
 
-    def check(self, where: str, model: Model) -> None:
-        """Raise InputError if the law has no parameters for a model."""
+    def check(self, where: str, model: Model, name: str = "mujoco") -> None:
+        """Raise InputError if the law of a name has no parameters for a model."""
         if model.solver is None or model.geoms is None:
             raise InputError(
-                f"{where}: contact='mujoco' needs the contact parameters of a file, and the model "
+                f"{where}: contact={name!r} needs the contact parameters of a file, and the model "
                 "has none; load it by rb.load, or build it by rb.ModelBuilder"
             )
-        if model.constraints:
-            raise InputError(
-                f"{where}: contact='mujoco' and the constraints of the model "
-                f"({len(model.constraints)}) are not solved together; load(constraints=False), or "
-                "model.replace(constraints=())"
-            )
+        check_soft(where, model)

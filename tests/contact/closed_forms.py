@@ -88,6 +88,9 @@ def mover(model: rb.Model, contact: Any = None, tau: Any = None) -> Any:
     @jax.jit
     def run(v: jax.Array, dt: jax.Array, steps: jax.Array) -> State:
         start = model.default_state().replace(v=v)
+        law = rb.contact.laws()[contact or "mujoco"](model)
+        if hasattr(law, "initial_memory"):
+            start = start.replace(memory=law.initial_memory(model))
 
         def step(i: jax.Array, state: State) -> State:
             force = None if tau is None else tau(i * dt)

@@ -15,6 +15,7 @@ Source: MuJoCo, *Computation*, constraint model; Todorov 2014.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -41,9 +42,10 @@ from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, sub
+from rbjax.lanes import Lane, inner, is_literal, sub
 from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
+from rbjax.model.leaves import numbers
 from rbjax.model.record import check_fields, floats
 from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
@@ -125,14 +127,22 @@ class Soft(Constraint):
     def rows(self, context: Context) -> Sequence[Row]:
         return self.of.rows(context)
 
-    def soft_terms(self, rows: Sequence[Row], dtype: Any) -> tuple[list[Lane], list[Lane]]:
-        """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g."""
-        solref, solimp, weight = (x.astype(dtype) for x in (self.solref, self.solimp, self.weight))
-        g = jnp.stack([jnp.asarray(row.residual, dtype) for row in rows])
-        rate = jnp.stack([jnp.asarray(row.rate, dtype) for row in rows])
-        d = impedance(_norm(g), solimp)
-        right_hand_side = reference(g, rate, d, solref, solimp, 0.0, refsafe=False)
-        return list(regularisation(d, weight)), list(right_hand_side)
+    def soft_terms(
+        self, rows: Sequence[Row], dtype: Any, dt: Any = 0.0, *, refsafe: bool = False
+    ) -> tuple[list[Lane], list[Lane]]:
+        """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g.
+
+        refsafe: whether the time constant is at least two steps dt.
+        """
+        own = self.solref, self.solimp, self.weight
+        solref, solimp, weight = (numbers(x, dtype) for x in own)
+        d = impedance(_norm([row.residual for row in rows]), solimp)
+
+        def right_hand_side(row: Row) -> Lane:
+            g = row.residual
+            return reference(g, row.rate, d, solref, solimp, dt, refsafe=refsafe)
+
+        return [regularisation(d, w) for w in weight], [right_hand_side(row) for row in rows]
 
 
 def is_soft(model: Model) -> bool:
@@ -140,9 +150,13 @@ def is_soft(model: Model) -> bool:
     return any(isinstance(x, Soft) for x in model.constraints)
 
 
-def _norm(g: jax.Array) -> jax.Array:
-    """Return |g|, with a zero derivative at g = 0."""
-    square = (g * g).sum()
+def _norm(g: Sequence[Lane]) -> Lane:
+    """Return |g| but for the sign of a single residual, with a zero derivative at g = 0."""
+    if len(g) == 1:
+        return g[0]
+    square = inner(g, g)
+    if is_literal(square):
+        return math.sqrt(square)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
@@ -165,9 +179,9 @@ def regularizer_and_residual(
             left = bias if constraint.bias else list(without_bias[at])
             residual += [sub(x, y) for x, y in zip(right, left, strict=True)]
         else:
-            R += [jnp.zeros((), a.dtype)] * constraint.size
+            R += [0.0] * constraint.size
             residual += [baumgarte_residual(row, alpha, beta) for row in rows[at]]
-    return jnp.stack(R), pack(residual, a)
+    return pack(R, a), pack(residual, a)
 
 
 @dataclass(frozen=True)

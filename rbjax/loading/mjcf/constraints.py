@@ -34,6 +34,7 @@ from rbjax.errors import ModelError
 from rbjax.loading.mjcf.fields import Off, is_on, leaf, safe_solref
 from rbjax.loading.write.draft import Draft, place_in_body, text
 from rbjax.model import WORLD, Model
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 _KIND = mujoco.mjtEq
 _COUPLINGS = {int(_KIND.mjEQ_JOINT): JointPolynomial, int(_KIND.mjEQ_TENDON): TendonPolynomial}
@@ -101,11 +102,23 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     return Soft(one, solref, solimp, weight, bias=type(one) not in _COUPLINGS.values())
 
 
+def soft_mimic(m: mujoco.MjModel, one: JointPolynomial) -> Soft:
+    """Make a mimic soft, with the default parameters of MuJoCo's equalities."""
+    names = [x for x in (one.joint, one.driver) if x is not None]
+    ends = [m.joint(x).id for x in names]
+    return Soft(one, leaf(safe_solref(m, SOLREF)), leaf(SOLIMP), leaf(_weight_of_joints(m, ends)),
+                bias=False)  # fmt: skip
+
+
+def _weight_of_joints(m: mujoco.MjModel, joints: Any) -> np.ndarray:
+    return m.dof_invweight0[m.jnt_dofadr[joints]].sum(keepdims=True)
+
+
 def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
     """Compute MuJoCo's estimate of diag(G M^-1 G^T) at the reference configuration."""
     if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
         ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
-        return m.dof_invweight0[m.jnt_dofadr[ends[ends >= 0]]].sum(keepdims=True)
+        return _weight_of_joints(m, ends[ends >= 0])
     if int(m.eq_type[i]) == int(_KIND.mjEQ_TENDON):
         ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
         return m.tendon_invweight0[ends[ends >= 0]].sum(keepdims=True)

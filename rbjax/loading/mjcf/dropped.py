@@ -25,8 +25,10 @@ MESHES = "collision meshes"
 #: prefix of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
-    "joint limits": "load(limits=True) loads them",
-    "joint friction loss": "load(friction=True) loads it",
+    "joint limits": "load(contacts=True) or load(limits=True) takes them",
+    "joint friction loss": "load(contacts=True) or load(friction=True) takes it",
+    "tendon limits": "load(contacts=True) takes them",
+    "tendon friction loss": "load(contacts=True) takes it",
     "equality constraints (": "load(constraints=True) loads them",
     "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
     "contacts": "load(contacts=True) takes them; for wheels on the ground use rbjax.wheeled",
@@ -53,7 +55,8 @@ def dropped_features(
 ) -> tuple[str, ...]:
     """Return an entry of `Model.dropped` for each unsupported feature that changes the motion.
 
-    With `contacts`, limits and friction loss are supported, and `contacts_left_out` lists pairs."""
+    With `contacts`, limits and friction loss of joints and tendons are supported, and
+    `contacts_left_out` lists pairs."""
     obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
 
@@ -74,8 +77,9 @@ def dropped_features(
     for why, which in _equalities_left_out(m, constraints=constraints).items():
         note(why, which, obj.mjOBJ_EQUALITY)
     tendon = obj.mjOBJ_TENDON
-    note("tendon limits", limited_tendons(m), tendon)
-    note("tendon friction loss", rubbing_tendons(m), tendon)
+    if not contacts:
+        note("tendon limits", limited_tendons(m), tendon)
+        note("tendon friction loss", rubbing_tendons(m), tendon)
     note("tendon armature", tendon_armature(m) != 0, tendon)
     note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.contact.tendon_rows import friction_rows, limit_rows, tendon_weights
+from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.tendon_rows import tendon_rows, tendon_weights
 from rbjax.forces.context import Context
 from tests.forces.against_mujoco import states
 from tests.oracles.random_tendons import random_tendons
@@ -29,15 +30,16 @@ def robot() -> mujoco.MjModel:
 
 
 def rows(model: rb.Model, q, v):
+    """J, inverse regularization and reference of all rows, by tendon_weights of the model."""
     context = Context.of(model, 0.0, rb.State(q, v), None)
-    found = [*friction_rows(context), *limit_rows(context)]
+    options = Options(False, 1.0, model.timestep, True)
+    found = tendon_rows(context, tendon_weights(model), options)
 
     def array(x):
         return jnp.stack([jnp.asarray(one, float) for one in x])
 
-    J = array([array([x.arms.get(n, 0.0) for n in range(model.nv)]) for x in found])
-    numbers = (array(getattr(x, n) for x in found) for n in ("speed", "distance", "margin"))
-    return J, *numbers
+    J = array([array([x.J.get(n, 0.0) for n in range(model.nv)]) for x in found])
+    return J, array(x.D for x in found), array(x.reference for x in found)
 
 
 def test_rows_and_weights() -> None:
@@ -45,6 +47,10 @@ def test_rows_and_weights() -> None:
     model, data = load_quietly(m), mujoco.MjData(m)
     assert model.tendons.limited == (0, 1, 2) and model.tendons.rubbing == (1, 2)
     loss = [0.5, 1.0]
+    context = Context.of(model, 0.0, model.default_state(), None)
+    found = tendon_rows(context, tendon_weights(model), Options(False, 1.0, 0.002, True))
+    assert [x.source for x in found] == [("tendon", k) for k in (1, 2, 0, 0, 1, 1, 2, 2)]
+    assert [float(x.floss) for x in found[:2]] == loss
     q, v, _ = states(m, STATES)
     found = jax.jit(jax.vmap(lambda q, v: rows(model, q, v)))(q, v)
     active = set()
@@ -62,9 +68,9 @@ def test_rows_and_weights() -> None:
         else:
             J = data.efc_J.reshape(-1, m.nv)[: data.nefc]
         ours = [np.asarray(x[k]) for x in found]
-        acts = np.array([True, True, *(ours[2] < ours[3])[2:]])
+        acts = ours[1] > 0
         active |= {tuple(acts)}
-        theirs = (J, data.efc_vel, data.efc_pos, data.efc_margin)
+        theirs = (J, data.efc_D, data.efc_aref)
         for a, b in zip(ours, theirs, strict=True):
             assert relative_error(a[acts], b[friction | limits]) < F64_PARITY
         assert data.efc_frictionloss[: data.nefc][friction].tolist() == loss
@@ -86,5 +92,5 @@ def test_weights_follow_the_masses() -> None:
 def test_no_tendons() -> None:
     model = rb.load("cart_pole")
     context = Context.of(model, 0.0, model.default_state(), None)
-    assert friction_rows(context) == limit_rows(context) == []
+    assert tendon_rows(context, tendon_weights(model), Options(False, 1.0, 0.002, True)) == []
     assert tendon_weights(model).shape == (0,)

@@ -1,0 +1,289 @@
+"""Coulomb's law on MuJoCo's soft normal contact: no creep, no lift by friction, no direction.
+
+    v+ = v + h a,   a the solution of the contact problem with latched friction (`latched_disc`)
+The normal rows are those of MuJoCo's law. Friction is implicit in the velocity after the step and
+limited by the normal force, which friction does not change directly. The latched forces F follow by
+the fixed-point iteration F <- f_0(a(F)), from the forces of the last step. It converges at the rate
+mu |A_nt| / A_nn of the inverse inertias at the contacts, and fails as Painleve's paradox does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.arguments import integer, real_number
+from rbjax.contact.assemble import Assembly
+from rbjax.contact.contact_rows import Slots
+from rbjax.contact.geometry.candidates import PairKind
+from rbjax.contact.geometry.narrow_phase import COUNTS
+from rbjax.contact.latched_disc import DiscSet, memory_width
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.parameters import pair_parameters
+from rbjax.contact.problem import Problem, residual
+from rbjax.contact.soft import SoftContact
+from rbjax.dynamics.algorithms.rnea import LinkForces
+from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
+from rbjax.lanes import batch_first, pack
+from rbjax.model import Model, State
+
+#: bytes of a number -> the relative change of the latched forces at which the iteration ends
+LATCHED = {4: 1e-5, 8: 1e-11}
+#: the number of fixed-point iterations of the derivative
+LINEAR = 24
+
+
+class _Found(NamedTuple):
+    """The solution, the latched forces of each set, their relative change, and the rounds."""
+
+    solution: Solution
+    latches: list[jax.Array]
+    error: jax.Array
+    rounds: jax.Array
+
+
+@dataclass(frozen=True)
+class CoulombContact:
+    """Dynamics of a step with soft normal contact, Coulomb's friction and true sticking.
+
+    Use it instead of MuJoCo's law if creep matters (a robot that stands on a slope, a grasp), for
+    long slides, and for friction of equal size in all directions. Pass it as `contact=` to `step`
+    and `rollout`. `contact="coulomb"` has the default arguments. Contacts of condim 4 and 6 have
+    the ellipsoid sum (f_k / mu_k)^2 <= f_n^2. Friction loss, limits and the parameters of the
+    normal direction are those of the file.
+
+    The memory contains the normal force and the bristle of each candidate, and at its end the
+    relative change of the normal forces in the last iteration.
+
+    Args:
+        share: share of the displacement of a sticking contact that a step removes, 0 to 1.
+        stiffness: impedance of friction that sticks, at most 0.9999.
+        rounds: largest number of iterations of the normal forces in a step.
+        iterations: largest number of Newton steps of each iteration.
+
+    Raises:
+        InputError: numbers outside their ranges.
+
+    Source: De Saxce & Feng 1998; Hayward & Armstrong 2000.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.contact.CoulombContact(rounds=10).rounds
+        10
+    """
+
+    share: float = 0.2
+    stiffness: float = 0.999
+    rounds: int = 30
+    iterations: int = ITERATIONS
+
+    def __post_init__(self) -> None:
+        at = "CoulombContact"
+        real_number(at, "share", self.share, least=0.0, most=1.0)
+        real_number(at, "stiffness", self.stiffness, above=0.0, most=0.9999)
+        integer(at, "rounds", self.rounds, least=1)
+        integer(at, "iterations", self.iterations, least=1)
+
+    def check(self, where: str, model: Model) -> None:
+        """Raise InputError if the law has no parameters for a model."""
+        SoftContact().check(where, model, "coulomb")
+
+    def initial_memory(self, model: Model) -> jax.Array:
+        """Return bristles at rest."""
+        size = sum(n * memory_width(dim) for dim, n in _candidates(model).items())
+        return jnp.zeros(size + 1, model.gravity.dtype)
+
+    def advance_velocity(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
+    ) -> tuple[jax.Array, jax.Array]:
+        """Compute the velocity (nv,) and the memory after a step dt."""
+        assert state.memory is not None
+        given, rebuilt = split_tracers((model, f_ext, dt, t if model.constraints else 0.0))
+
+        def problem_at(changed: Any, q: Any, v: Any, tau: Any, memory: Any) -> tuple[Any, Problem]:
+            model, f_ext, dt, t = rebuilt(changed)
+            assembly = Assembly(model, q, v, dt, t)
+            return assembly, self._with_bristles(assembly.problem(tau, f_ext), memory, dt)
+
+        def solved_at(*at: Any) -> tuple[Problem, _Found]:
+            problem = _detected(problem_at(*at)[1])
+            found = _iterate(problem, self.rounds, self.iterations)
+            return _latched(problem, found.latches), found
+
+        def plain(*at: Any) -> Any:
+            problem, found = solved_at(*at)
+            return batch_first((found.solution.x, _memory_of_slots(problem, found)), at)
+
+        def solved(*at: Any) -> tuple[Any, Any]:
+            problem, found = solved_at(*at)
+            change = _linear_solver(problem, found.solution)
+            return (found.solution.x, _memory_of_slots(problem, found)), [change, lambda b: b]
+
+        def equation(*at: Any) -> jax.Array:
+            *at, a = at
+            assembly, problem = problem_at(*at)
+            _, f_ext, *_ = rebuilt(at[0])
+            tau, d = at[3], assembly.d
+            pushes = pack(problem.constraint_forces(a), tau)
+            return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
+
+        def remembered(*at: Any) -> jax.Array:
+            *at, a, memory = at
+            _, problem = problem_at(*at)
+            return _memory_of_candidates(problem, a, memory) - memory
+
+        run = with_implicit_jvp(plain, solved, equation, remembered)
+        a, memory = run(*jax_arrays(given, state.q, state.v, tau, state.memory))
+        return state.v + dt * a, memory
+
+    def _with_bristles(self, problem: Problem, memory: jax.Array, dt: Any) -> Problem:
+        """Return the problem with latched friction."""
+        dtype, sets, start = problem.dtype, list[Any](), 0
+        for contacts in problem.sets:
+            n, width = contacts.candidates, memory_width(contacts.dim)
+            if width:
+                own = memory[start : start + n * width].reshape(n, width)
+                start += n * width
+                contacts = DiscSet.of(
+                    contacts, own, jnp.asarray(dt, dtype), self.share, self.stiffness
+                )
+            sets.append(contacts)
+        return dataclasses.replace(problem, sets=sets)
+
+
+def _candidates(model: Model) -> dict[int, int]:
+    """Count the candidates of the contacts of each dimension."""
+    geoms, out = model.geoms, dict[int, int]()
+    if geoms is None or not geoms.pairs:
+        return out
+    condim = pair_parameters(geoms, geoms.pairs).condim
+    for pair, dim in zip(geoms.pairs, condim, strict=True):
+        out[dim] = out.get(dim, 0) + COUNTS[PairKind.of(geoms, pair).kinds]
+    return dict(sorted(out.items()))
+
+
+def _detected(problem: Problem) -> Problem:
+    """Return the problem with its active contacts."""
+    world, slots = problem.touching, list[Any]()
+    for contacts in problem.sets:
+        disc = isinstance(contacts, DiscSet)
+        slots.append(contacts.collect(world) if disc else Slots.collect(contacts, world))
+    return dataclasses.replace(problem, slots=slots)
+
+
+def _discs(problem: Problem, *others: Any) -> list[tuple]:
+    """Return the sets with friction, their slots and further values of each set."""
+    every = zip(problem.sets, problem.slots, *others, strict=True)
+    return [x for x in every if isinstance(x[0], DiscSet)]
+
+
+def _residual(r: jax.Array, k: Any) -> list[Any]:
+    return [r[k, i] for i in range(r.shape[1])]
+
+
+def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
+    """Return the problem with other latched forces."""
+    given = iter(latches)
+    slots = [
+        s._replace(latches=next(given)) if isinstance(x, DiscSet) else s
+        for x, s in zip(problem.sets, problem.slots, strict=True)
+    ]
+    return dataclasses.replace(problem, slots=slots)
+
+
+def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
+    """Iterate the latched forces until they are the normal forces of the solution."""
+    dtype = problem.dtype
+    tiny, bound = jnp.finfo(dtype).tiny, LATCHED[jnp.dtype(dtype).itemsize]
+
+    def step(at: _Found) -> _Found:
+        latched = _latched(problem, at.latches)
+        found = solve(latched, iterations=iterations)
+        new, change, size = list[Any](), jnp.zeros((), dtype), jnp.full((), tiny, dtype)
+        sets = _discs(latched, found.residuals)
+        for (contacts, slots, r), old in zip(sets, at.latches, strict=True):
+
+            def normal(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+                return out.at[k].set(of.cone(slots.row(k, of.dim)).normal(r[k, 0]))
+
+            f = slots.fold(normal, jnp.zeros_like(old))
+            change = jnp.maximum(change, jnp.abs(f - old).max(initial=0.0))
+            size = jnp.maximum(size, f.max(initial=0.0))
+            new.append(f)
+        return _Found(found, new, change / size, at.rounds + 1)
+
+    def unfinished(at: _Found) -> jax.Array:
+        return (at.error > bound) & (at.rounds < rounds)
+
+    infinite = jnp.full((), jnp.inf, dtype)
+    residuals = [jnp.zeros((s.rows.shape[0], x.dim), dtype) for x, s in
+                 zip(problem.sets, problem.slots, strict=True)]  # fmt: skip
+    none = Solution(jnp.zeros(len(problem.rhs), dtype), jnp.int32(0), infinite, residuals)
+    latches = [slots.latches for _, slots in _discs(problem)]
+    return jax.lax.while_loop(unfinished, step, _Found(none, latches, infinite, jnp.int32(0)))
+
+
+def _linear_solver(problem: Problem, solution: Solution) -> Any:
+    """Return the function b -> (-d equation / dx)^-1 b, with normal forces that change friction.
+
+    The iteration H y_k+1 = b + J^T (df / dF) dF(y_k) has the rate of the forward iteration.
+    """
+    factors = factorize_at(problem, solution)
+    tree, dtype = problem.tree, problem.dtype
+
+    def coupled(y: jax.Array) -> jax.Array:
+        moving = tree.twists(y, dtype)
+        wrenches = jnp.zeros((len(tree.touching) + 1, 6), dtype)
+        for contacts, slots, r in _discs(problem, solution.residuals):
+
+            def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+                row = slots.row(k, of.dim)
+                cone = of.cone(row)
+                sticks, _, t = cone.slip(_residual(r, k))
+                rate = row.along(of.relative(row, moving))[0]
+                change = jnp.where(sticks | (r[k, 0] >= 0), 0.0, -row.D * rate)
+                f = [0.0, *(-change * m * u for m, u in zip(cone.mu, t, strict=True))]
+                return of.add_wrench(row, out, row.wrench(f))
+
+            wrenches = slots.scan(push, wrenches)
+        return pack(tree.generalized(wrenches), y)
+
+    def change(b: jax.Array) -> jax.Array:
+        if not _discs(problem):
+            return factors.solve(b)
+        again = lambda y, _: (factors.solve(b + coupled(y)), None)  # noqa: E731
+        return jax.lax.scan(again, factors.solve(b), None, length=LINEAR)[0]
+
+    return change
+
+
+def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
+    """Compute the memory after a step from the active contacts."""
+    parts = list[Any]()
+    for contacts, slots, r in _discs(problem, found.solution.residuals):
+
+        def store(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+            row = slots.row(k, of.dim)
+            return out.at[row.candidate].set(of.next_memory(row, _residual(r, k), True))
+
+        parts.append(slots.fold(store, jnp.zeros_like(contacts.memory)).reshape(-1))
+    return jnp.concatenate([*parts, found.error[None]])
+
+
+def _memory_of_candidates(problem: Problem, a: jax.Array, memory: jax.Array) -> jax.Array:
+    """Compute the memory after a step from all candidates; reverse-mode derivatives exist."""
+    twists, parts = problem.tree.twists(a, problem.dtype), list[Any]()
+    for contacts in problem.sets:
+        if isinstance(contacts, DiscSet):
+
+            def store(out: Any, row: Any, active: Any, of: Any = contacts) -> Any:
+                new = of.next_memory(row, residual(of, row, twists), active)
+                return out.at[row.candidate].set(new)
+
+            zero = jnp.zeros_like(contacts.memory)
+            parts.append(contacts.scan(problem.touching, store, zero).reshape(-1))
+    return jnp.concatenate([*parts, memory[-1:]])

@@ -1,0 +1,250 @@
+"""Coulomb friction with a latched normal force: contacts whose normal force ignores friction.
+
+The friction of a contact is in an ellipsoid whose size is the normal force F, which is constant
+during the minimisation. With U_k = mu_k r_k, T = |U| and a stiff row D_k = D_1 mu_k^2 / mu_1^2,
+
+    normal     f_0 = -D r_0 for r_0 < 0
+    friction   f_k = -D_k r_k               if D_1 T / mu_1^2 <= F, the contact sticks
+               f_k = -F mu_k U_k / T        else, the contact slips
+For a constant F these forces are the negative gradient of a convex cost, so the Newton method of
+soft contact solves the problem. The solution has the true law of Coulomb if F = f_0 at the end.
+
+Each candidate has a bristle: the displacement s that has accumulated since the contact began to
+stick. A contact that sticks has the target velocity -share s / h after the step, and therefore no
+creep: s <- s + h u sums up what the stiff row leaves. A contact that slips has s = 0.
+
+Source: De Saxce & Feng, *The bipotential method*, 1998 (normal force as a parameter of the disc);
+Dahl 1968 and Hayward & Armstrong, *A new computational model of friction*, 2000 (bristle).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.contact.cones import TINY, Response
+from rbjax.contact.contact_rows import ContactSet, Row, World
+from rbjax.contact.geometry.shapes import Contact, contact_frame
+from rbjax.forces.impedance import impedance, reference, regularisation
+from rbjax.lanes import Lane, Vec3, mul, pack, total
+from rbjax.spatial import Motion
+
+#: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
+NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
+
+
+def memory_width(dim: int) -> int:
+    """Return the number of entries of the memory of a candidate with some rows."""
+    return {1: 0, 3: 4}.get(dim, 7)
+
+
+class Disc(NamedTuple):
+    """The friction of a contact, as a cone whose normal force is latched.
+
+    Fields:
+        D, D_t: the inverse regularization of the normal row and of the first tangent.
+        mu: friction coefficients of the other rows.
+        latch: the normal force F, or None for that of the residual.
+    """
+
+    D: Lane
+    D_t: Lane
+    mu: tuple[Lane, ...]
+    latch: Lane | None
+
+    def normal(self, r: Lane) -> Lane:
+        """Compute the normal force at the residual of the normal row."""
+        return jnp.where(r < 0, -self.D * r, 0.0)
+
+    def slip(self, r: Sequence[Lane]) -> tuple[Any, Lane, list[Lane]]:
+        """Return whether the contact sticks, F / T, and the unit vector t = U / T."""
+        F = self.normal(r[0]) if self.latch is None else self.latch
+        U = [mul(m, x) for m, x in zip(self.mu, r[1:], strict=True)]
+        square = total(mul(u, u) for u in U)
+        some = square > TINY
+        T = jnp.sqrt(jnp.where(some, square, 1.0))
+        sticks = ~some | (self._c * T <= F)
+        return sticks, F / T, [jnp.where(some, u / T, 0.0) for u in U]
+
+    @property
+    def _c(self) -> Lane:
+        return self.D_t / (self.mu[0] * self.mu[0])
+
+    def response(self, r: Sequence[Lane]) -> Response:
+        """Compute the force and the Hessian at a residual."""
+        active = jnp.where(r[0] < 0, self.D, 0.0)
+        sticks, ratio, t = self.slip(r)
+        scale, along = jnp.where(sticks, self._c, ratio), jnp.where(sticks, 0.0, ratio)
+        f: list[Lane] = [-active * r[0]]
+        H: list[list[Lane]] = [[active]]
+        for i, m in enumerate(self.mu):
+            f.append(-scale * m * m * r[i + 1])
+            row: list[Lane] = [0.0]
+            for j in range(i + 1):
+                entry = (scale if i == j else 0.0) - along * t[i] * t[j]
+                row.append(entry * m * self.mu[j])
+            H.append(row)
+        return Response(f, H)
+
+
+class DiscRow(NamedTuple):
+    """The rows of one contact, with its bristle.
+
+    Fields:
+        pair, axes, D, reference: as in `Row`.
+        candidate: index of the candidate.
+        bristle: s of the friction rows.
+        frame: axes of the contact in the world, row by row.
+        latch: the latched normal force, or None.
+    """
+
+    pair: Any
+    axes: list[Motion]
+    D: Lane
+    reference: list[Lane]
+    candidate: Any
+    bristle: list[Lane]
+    frame: list[Vec3]
+    latch: Lane | None = None
+
+    along = Row.along
+    wrench = Row.wrench
+    stiffness = Row.stiffness
+
+
+class DiscSlots(NamedTuple):
+    """The active contacts of a set, in consecutive slots.
+
+    Fields:
+        length: the number of active contacts.
+        rows: (n, 7 dim + 1) axes, D and reference accelerations, as in `Slots`.
+        bristles: (n, dim + 8) bristle and axes of the contact.
+        pairs, candidates: (n,) the pair of geoms and the candidate of each slot.
+        latches: (n,) the latched normal forces.
+    """
+
+    length: jax.Array
+    rows: jax.Array
+    bristles: jax.Array
+    pairs: jax.Array
+    candidates: jax.Array
+    latches: jax.Array
+
+    def row(self, k: Any, dim: int) -> DiscRow:
+        """Return the row of a slot."""
+        x, y = (
+            [table[k, i] for i in range(table.shape[1])] for table in (self.rows, self.bristles)
+        )
+        axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
+        s, e = y[: dim - 1], y[dim - 1 :]
+        frame = [Vec3(*e[3 * i : 3 * i + 3]) for i in range(3)]
+        return DiscRow(
+            self.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], self.candidates[k], s, frame,
+            self.latches[k],
+        )  # fmt: skip
+
+    def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
+        """Run carry = step(k, carry) over the active slots."""
+        return jax.lax.fori_loop(0, self.length, step, carry)
+
+    def scan(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
+        """Run carry = step(k, carry) over all slots, in a loop that can be transposed. Slots
+        without a contact have no forces."""
+        every = jnp.arange(self.rows.shape[0])
+        return jax.lax.scan(lambda x, k: (step(k, x), None), carry, every)[0]
+
+
+@dataclass(frozen=True)
+class DiscSet(ContactSet):
+    """Pairs of geoms with latched friction.
+
+    Fields:
+        memory: (n, width) of each candidate.
+        step: h in s.
+        share: the share of a bristle that a step removes.
+        stiffness: impedance of the friction rows, below 1.
+    """
+
+    memory: Any
+    step: Any
+    share: Any
+    stiffness: Any
+
+    @classmethod
+    def of(cls, given: ContactSet, memory: Any, step: Any, share: Any, stiffness: Any) -> DiscSet:
+        """Add bristles to a set of contacts."""
+        kept = {f.name: getattr(given, f.name) for f in fields(ContactSet)}
+        return cls(**kept, memory=memory, step=step, share=share, stiffness=stiffness)
+
+    def cone(self, row: Any) -> Any:
+        """Return the friction of a contact."""
+        mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
+        d, weight = self.stiffness, self._lane(self.weights, row.pair)
+        return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch)
+
+    def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
+        """Compute the rows of a contact. If it is not active, D is 0."""
+        margin = self._lane(self.parameters.margin, pair)
+        e, p = contact_frame(contact.normal, contact.tangent), contact.position
+        axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
+        axes = self._in_link(world, axes[: self.dim], pair)
+        memory = self.memory[candidate]
+        s = [x.dot(Vec3(*(memory[i] for i in range(1, 4)))) for x in e[1:]]
+        if self.dim > 3:
+            turn = Vec3(*(memory[i] for i in range(4, 7)))
+            s += [x.dot(turn) for x in e][: self.dim - 3]
+        row = DiscRow(pair, axes, 0.0, [], candidate, s, list(e))
+        v = row.along(self.relative(row, world.twists))  # type: ignore[arg-type]
+        r = jnp.where(active, contact.distance - margin, 0.0)
+        given = self.parameters
+        solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
+        d = impedance(r, solimp)
+        push = reference(r, v[0], d, solref, solimp, self.step, refsafe=self.options.refsafe)
+        h = self.step
+        drag = [-(u + self.share * x / h) / h for u, x in zip(v[1:], s, strict=True)]
+        D = 1.0 / regularisation(d, self._lane(self.weights, pair))
+        return row._replace(D=jnp.where(active, D, 0.0), reference=[push, *drag])
+
+    def collect(self, world: World) -> DiscSlots:
+        """Run the narrow phase and store the active contacts, with the forces of the last step."""
+        n, m, dtype = self.candidates, 7 * self.dim + 1, world.geoms.dtype
+        found = self.found(world)
+
+        def compute(k: Any, carry: tuple) -> tuple:
+            rows, bristles, latches = carry
+            row: Any = self.row_of_found(world, found, k)
+            lanes = [x for axis in row.axes for x in axis]
+            values = pack([*lanes, row.D, *row.reference], latches)
+            bristle = pack([*row.bristle, *(x for e in row.frame for x in e)], latches)
+            latch = self.memory[row.candidate, NORMAL]
+            return rows.at[k].set(values), bristles.at[k].set(bristle), latches.at[k].set(latch)
+
+        none = tuple(jnp.zeros(x, dtype) for x in ((n, m), (n, self.dim + 8), (n,)))
+        rows, bristles, latches = found.fold(compute, none)
+        return DiscSlots(found.length, rows, bristles, found.pairs, found.candidates, latches)
+
+    def next_memory(self, row: Any, r: Sequence[Lane], active: Any) -> jax.Array:
+        """Compute the memory of a candidate after a step, from its residual at the solution.
+
+        The velocity after the step is h r - share s / h, so a bristle that sticks becomes
+        (1 - share) s + h^2 r.
+        """
+        cone, h = self.cone(row), self.step
+        sticks, _, _ = cone.slip(r)
+        kept = sticks & active
+        s = [
+            jnp.where(kept, (1.0 - self.share) * x + h * h * y, 0.0)
+            for x, y in zip(row.bristle, r[1:], strict=True)
+        ]
+        e = row.frame
+        parts = [jnp.where(active, cone.normal(r[0]), 0.0), *(e[1] * s[0] + e[2] * s[1])]
+        if self.dim > 3:
+            turn = e[0] * s[2]
+            if self.dim > 4:
+                turn = turn + e[1] * s[3] + e[2] * s[4]
+            parts += list(turn)
+        return jnp.stack([jnp.asarray(x, self.memory.dtype) for x in parts])

@@ -1,0 +1,69 @@
+"""Rows of the limits of joints and of the friction loss of dofs.
+
+    hinge, slide    lower limit   d = q - lower,   row  1     upper limit   d = upper - q,   row -1
+    ball            d = upper - angle,             row -axis
+    friction loss                                  row  1
+(MuJoCo, *Computation*, constraint model.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.scalar_row import ScalarRow, Softness, entry
+from rbjax.lanes import Lane, Vec3, neg
+from rbjax.model import Model
+from rbjax.model.leaves import numbers, table
+
+
+def dof_rows(
+    model: Model, q: jax.Array, v: jax.Array, weights: Any, options: Options
+) -> list[ScalarRow]:
+    """Return the rows of the limits of joints, then of the friction loss of dofs.
+
+    weights: (nv,) inverse inertias of the dofs.
+    """
+    own, dtype = model.solver, q.dtype
+    assert own is not None
+    rows = [row for j in own.limited for row in _limits(model, q, v, weights, options, j)]
+    for i in own.rubbing:
+        tables = own.friction_solref, own.friction_solimp
+        softness = Softness.of(entry(weights, i, dtype), *tables, i, dtype)
+        floss = entry(own.frictionloss, i, dtype)
+        rows.append(ScalarRow.friction({i: 1.0}, floss, v, softness, options, ("dof", i)))
+    return rows
+
+
+def _limits(
+    model: Model, q: jax.Array, v: jax.Array, weights: Any, options: Options, j: int
+) -> list[ScalarRow]:
+    """Return the rows of the limits of a joint."""
+    own, top, dtype = model.solver, model.topology, q.dtype
+    assert own is not None
+    low, high = numbers(table(model.joints.range, dtype)[j], dtype)
+    margin, i, k = entry(own.limit_margin, j, dtype), top.joint_v[j], top.joint_q[j]
+    ends: list[tuple[Any, dict[int, Lane]]]
+    if top.joints[j].quaternion:
+        angle, axis = _angle_and_axis(*(q[k + n] for n in range(4)))
+        ends = [(high - angle, {i + n: neg(x) for n, x in enumerate(axis)})]
+    else:
+        ends = [(q[k] - low, {i: 1.0}), (high - q[k], {i: -1.0})]
+    tables = own.limit_solref, own.limit_solimp
+    softness = Softness.of(entry(weights, i, dtype), *tables, j, dtype)
+    source = "joint", j
+    return [ScalarRow.limit(J, d, margin, v, softness, options, source) for d, J in ends]
+
+
+def _angle_and_axis(w: Lane, x: Lane, y: Lane, z: Lane) -> tuple[Lane, Vec3]:
+    """Compute the angle in [0, pi] and the axis of a unit quaternion."""
+    sign = jnp.where(w < 0, -1.0, 1.0)
+    u = Vec3(x, y, z) * sign
+    square = u.dot(u)
+    small = square < 1e-24
+    s = jnp.sqrt(jnp.where(small, 1.0, square))
+    axis = [jnp.where(small, e, a / s) for a, e in zip(u, (1.0, 0.0, 0.0), strict=True)]
+    return jnp.where(small, 0.0, 2.0 * jnp.arctan2(s, w * sign)), Vec3(*axis)
