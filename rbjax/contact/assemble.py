@@ -212,6 +212,6 @@ def _in_dtype(model: Model, dtype: Any) -> Model:
     def converted(tree: Any) -> Any:
         return jax.tree.map(lambda x: x.astype(dtype) if is_traced(x) else x, tree)
 
-    constants = model.execution.constants
+    kept = {"constants": model.execution.constants, "weights": model.execution.weights}
     parts = {name: converted(getattr(model, name)) for name in ("geoms", "solver", "joints")}
-    return model.replace(**parts, constants=constants)
+    return model.replace(**parts, **kept)
