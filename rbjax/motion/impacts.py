@@ -27,7 +27,7 @@ from rbjax.dynamics.arguments import check_arrays, check_moves
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.lanes.arrays import select
-from rbjax.model import Model, State
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.contact_modes import ContactSystem, Mode, initial_mode, transition
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
@@ -136,9 +136,7 @@ def simulate_impacts(
     Source: Brogliato, *Nonsmooth Mechanics*, ch. 7; Leine & Nijmeijer 2004, ch. 7.
 
     Example: a ball that bounces once
-        >>> import warnings
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 1.1">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)
@@ -165,6 +163,9 @@ def simulate_impacts(
         raise InputError(f"{where}: law is {law!r}, expected 'newton' or 'energetic'")
     if tolerance is not None:
         real_number(where, "tolerance", tolerance, "a number above zero", above=0.0)
+    model = with_constants(
+        model, dtype
+    )  # once for all phases; zeros of a constant model are static
     system = ContactSystem(model, inputs, dynamics, mu, ts[0], chosen)
     start = State(state.q, state.v, state.x)
     run = _solve if inside_jit() else _compiled

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from rbjax.arguments import real_number, shown
 from rbjax.compiler import threads
 from rbjax.compiling import jitted
-from rbjax.contact.geometry.candidates import PairKind, candidates, pair_contacts
+from rbjax.contact.geometry.candidates import PairKind, pair_contacts, pairs_of_candidates
 from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
 from rbjax.contact.geometry.shapes import Shape, contact_frame, geom_shape, stack_shapes
 from rbjax.contact.parameters import pair_parameters
@@ -78,9 +78,7 @@ def detect(
     Source: Ericson, *Real-Time Collision Detection*, ch. 5.
 
     Example:
-        >>> import warnings
         >>> import rbjax as rb
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.2">
         ...     <freejoint/><geom type="sphere" size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)
@@ -122,7 +120,7 @@ def contacts_at(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contact
 
 
 def _geoms_of_candidates(model: Model, pairs: Pairs) -> Pairs:
-    return tuple(pairs[candidate.pair] for candidate in candidates(model.geoms, pairs))
+    return tuple(pairs[i] for i in pairs_of_candidates(model.geoms, pairs))
 
 
 def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> tuple:

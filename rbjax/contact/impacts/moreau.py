@@ -23,7 +23,6 @@ from rbjax.constraints.formulation import formulation_of
 from rbjax.contact.geometry.detection import contacts_at
 from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
-from rbjax.contact.impacts.point_velocity import constrained_inverse_inertia, contact_jacobian
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.arguments import check_model
@@ -51,9 +50,7 @@ class MoreauContact(Record):
     Source: Moreau 1988; Jean 1999.
 
     Example: a ball that falls onto the floor and stays there
-        >>> import warnings
         >>> import rbjax as rb
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.2">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)
@@ -126,10 +123,8 @@ class MoreauContact(Record):
         else:
             a = formulation(model, t, state, tau, f_ext)
         contacts = contacts_at(model, q, jnp.inf, self.pairs)
-        J = contact_jacobian(model, q, contacts)
-        W = constrained_inverse_inertia(model, q, t)
         later = v + dt * a
-        problem, Y = impact_problem(J, W, later, jnp.ones_like(contacts.exists), mu)
+        J, problem, Y = impact_problem(model, q, later, contacts, mu, t)
         gap = contacts.distance
         closing = -matvec(J[:, 0], v)
         active = contacts.exists & (gap + dt * problem.u[:, 0] <= 0)
