@@ -47,7 +47,8 @@ def solve(
         contact: "mujoco", or `rbjax.contact.SoftContact` with its arguments.
 
     Returns:
-        `ContactSolution`. Batches by `jax.vmap`. It has derivatives in forward and reverse mode;
+        `ContactSolution`. Batches by `jax.vmap`: over the states of a trajectory, saved at each
+        step, it gives iterations and error of each step. It has derivatives in forward and reverse mode;
         those of the acceleration are implicit.
 
     Raises:
