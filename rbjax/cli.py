@@ -305,6 +305,7 @@ def validate(
     states: Annotated[int, typer.Option(help="Random states.")] = 20,
     mjx: Annotated[bool, typer.Option(help="Run MJX too.")] = True,
     gradient: Annotated[bool, typer.Option(help="Compare gradients too.")] = True,
+    contacts: Annotated[bool, typer.Option("--contacts", help="Compare contacts too.")] = False,
     floating_base: Floating = False,
 ) -> None:
     """Compare a robot with MuJoCo C and MJX; exit code 1 when rbjax is out of tolerance."""
@@ -312,13 +313,10 @@ def validate(
 
     with _session(), _progress() as (say, _):
         report = compare(
-            file,
-            states=states,
-            mjx=mjx,
-            gradient=gradient,
+            file, states=states, mjx=mjx, gradient=gradient, contacts=contacts,
             floating_base=floating_base,
             progress=lambda stage: say(f"{Path(file).name}: {stage}"),
-        )
+        )  # fmt: skip
     if as_json:
         print(json.dumps(report.to_dict(), indent=1))
     else:

@@ -67,12 +67,14 @@ def test_info_as_json() -> None:
 
 def test_info_lists_what_is_left_out(tmp_path: Path) -> None:
     file = tmp_path / "limited.xml"
-    joint = '<joint name="j" limited="true" range="-1 1"/>'
+    joint = '<joint name="j"/>'
     file.write_text(
         f"<mujoco><compiler angle='radian'/><worldbody><body>{joint}"
-        "<geom size='0.1'/></body></worldbody></mujoco>"
+        "<geom size='0.1'/></body></worldbody>"
+        "<sensor><user name='g' dim='1'/></sensor></mujoco>"
     )
-    assert json.loads(run("info", str(file), "--json").stdout)["dropped"] == ["joint limits (j)"]
+    found = json.loads(run("info", str(file), "--json").stdout)["dropped"]
+    assert found == ["sensors of the kind user (g)"]
 
 
 def test_validate_as_json() -> None:

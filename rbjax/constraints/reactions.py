@@ -92,6 +92,7 @@ def multipliers(
 ) -> jax.Array:
     """Compute the constraint forces l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...).
 
+    No contact acts; `rb.contact.solve` gives the forces of a model with contacts.
     For rows of `Soft` constraints, l are the forces of MuJoCo's model. If rows are redundant, l has
     the least norm with each multiplier weighted by the square root of its entry of
     diag(G M^-1 G^T). Multipliers are in N for rows in m, and in N m for angles and cosines.
@@ -145,14 +146,18 @@ def joint_wrenches(
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
 
 
-def body_reactions(context: Context, tau: Any, f_ext: Any) -> dict[int, Force]:
+def body_reactions(
+    context: Context, tau: Any, f_ext: Any, l: jax.Array | None = None
+) -> dict[int, Force]:
     """Return the sums of the constraint forces on bodies, in world axes at the body's origin.
 
-    tau, f_ext: all applied forces. A force that a constraint exerts on a link, and not on the ends
-    of a `Pair`, is given to the body that carries the link's joint.
+    tau, f_ext: all applied forces. l: the multipliers, if they are known. A force that a constraint
+    exerts on a link, and not on the ends of a `Pair`, is given to the body that carries the link's
+    joint.
     """
     model, top = context.model, context.model.topology
-    l = _motion(model, context.t, context.state, tau, f_ext)[1]
+    if l is None:
+        l = _motion(model, context.t, context.state, tau, f_ext)[1]
     out: dict[int, Force] = {}
     at = 0
 

@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from rbjax.contact.problem import inertia_of_row, stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.dynamics.algorithms.aba import factorize, solve
+from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.lanes import Lane, add, mul, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -29,77 +30,71 @@ class Factors(NamedTuple):
     d: Driver
     factors: Any
 
-    def solve(self, b: list[Lane]) -> list[Lane]:
+    def solve(self, b: jax.Array) -> jax.Array:
         """Solve H x = b."""
-        return solve(self.d, self.factors, b)
+        return self.d.pack(solve(self.d, self.factors, self.d.lanes(b)), b)
 
 
 class ArticulatedTree(NamedTuple):
     """The tree of a robot at a configuration.
 
     Fields:
-        d: driver, with lists of links.
-        joints: joint motions.
-        transforms: pose of each link in its parent.
+        d: driver whose whole form is a list.
+        joints: joint motions, per link.
         touching: the links that can touch the world.
         link_pairs: (WORLD, link) for each of them.
         weights: inverse inertia of each dof, which scales the error.
     """
 
-    d: Any
-    joints: list
-    transforms: list
+    d: Driver
+    joints: Any
     touching: Sequence[int]
     link_pairs: Sequence[tuple[int, int]]
     weights: list[Lane]
 
-    def times_M(self, x: list[Lane]) -> list[Lane]:
-        """Compute M x."""
-
-        def outward(at: Any, parent: Motion) -> tuple[Motion, Force]:
-            link, joint, X, qdd = at
-            a = X(parent) + joint.S * qdd
-            return a, link.inertia(a)
-
-        def inward(at: Any, children: Force) -> tuple[Force, Lane]:
-            (link, joint, X, qdd), f = at
-            f = f + children
-            return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
-
-        xs = list(zip(self.d.constants, self.joints, self.transforms, x, strict=True))
-        return self.d.out_and_in(outward, Motion.zero(), inward, Force.zero(), xs)
-
-    def twists(self, x: list[Lane], dtype: Any) -> jax.Array:
+    def twists(self, x: jax.Array, dtype: Any) -> jax.Array:
         """Compute the twists (n + 1, 6) of the links that can touch and of the world."""
 
         def outward(at: Any, parent: Motion) -> tuple[Motion, Motion]:
-            joint, X, qdd = at
-            a = X(parent) + joint.S * qdd
+            link, joint, qdd = at
+            a = joint.transform(link)(parent) + joint.S * qdd
             return a, a
 
-        xs = list(zip(self.joints, self.transforms, x, strict=True))
-        found = self.d.outward(outward, Motion.zero(), xs)
+        xs = self.d.zip(self.d.constants, self.joints, self.d.lanes(x))
+        return self._of_touching(self.d.outward(outward, Motion.zero(), xs), dtype)
+
+    def _of_touching(self, twists: Any, dtype: Any) -> jax.Array:
+        found = self.d.whole(twists)
         return stacked([*(list(found[i]) for i in self.touching), [0.0] * 6], dtype)
 
     def generalized(self, wrenches: jax.Array) -> list[Lane]:
         """Compute J^T f from the wrenches (n + 1, 6) on the links that can touch."""
-        zero = Force.zero()
+        d, zero = self.d, Force.zero()
         given = {i: Force.from_lanes(unpack(wrenches[k])) for k, i in enumerate(self.touching)}
 
         def inward(at: Any, children: Force) -> tuple[Force, Lane]:
-            joint, X, f = at
+            link, joint, f = at
             f = f + children
-            return X.T(f), joint.S.dot(f)
+            return joint.transform(link).T(f), joint.S.dot(f)
 
-        xs = list(zip(self.joints, self.transforms, self.d.scattered(given, zero), strict=True))
-        return self.d.inward(inward, zero, xs)
+        xs = d.zip(d.constants, self.joints, d.scattered(given, zero))
+        like = jnp.zeros(d.topology.nv, wrenches.dtype)
+        return unpack(d.pack(d.inward(inward, zero, xs), like))
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize M + J^T H J. stiffness: (n, 21) K of each link. rows: rows of single dofs."""
         d, zero = self.d, ArticulatedInertia.zero()
         K = {link: inertia_of_row(stiffness[k]) for k, (_, link) in enumerate(self.link_pairs)}
-        extra: list[Lane] = [0.0] * len(self.joints)
+        extra: dict[int, Lane] = {}
         for row, h in rows:
             for i, x in row.J.items():
-                extra[i] = add(extra[i], mul(h, mul(x, x)))
-        return Factors(d, factorize(d, self.joints, extra, d.scattered(K, zero)))
+                extra[i] = add(extra.get(i, 0.0), mul(h, mul(x, x)))
+        given = d.scattered(extra, 0.0), d.scattered(K, zero)
+        return Factors(d, factorize(d, self.joints, *given))
+
+    def step(self, found: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """Solve H x = b. Return x and the twists of `twists` at x."""
+        d = self.d
+        left = eliminated(d, found.factors, d.lanes(b))
+        x, twists = d.unzip(accelerated(d, left, twists=True), 2)
+        return d.pack(x, b), self._of_touching(twists, dtype)

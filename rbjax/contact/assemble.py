@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, Options, World
 from rbjax.contact.geometry.candidates import PairKind
@@ -23,10 +24,11 @@ from rbjax.contact.rows.tendon_rows import has_tendon_rows, tendon_rows, tendon_
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
+from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, Mat3, Vec3, is_zero, sub
+from rbjax.lanes import Mat3, Vec3, sub, unpack
 from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane
 from rbjax.spatial import Transform
@@ -75,41 +77,55 @@ class Assembly:
     def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
         self.dt = model.timestep if dt is None else dt
-        self.d = Unrolled(model, prepare(model, q.dtype))
+        self.touching = Touching.of(model)
+        self.d = self._driver()
         self.joints = self.d.joints(q, v)
-        poses, self._twists = sweep(self.d, self.joints, POSE, TWIST)
+        poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
         self.origin = poses[min(self.top.last_links.values())].p
         self._poses = [Transform(x.R, x.p - self.origin) for x in poses]
-        self.touching = Touching.of(model)
 
     def problem(self, tau: jax.Array, f_ext: LinkForces | None) -> Problem:
         """Return the problem for applied forces. Contacts are not yet detected."""
         d, dtype = self.d, self.q.dtype
         bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
-        rhs = [sub(t, b) for t, b in zip(d.lanes(tau), bias, strict=True)]
+        rhs = [sub(t, b) for t, b in zip(unpack(tau), d.whole(bias), strict=True)]
         world = self._world() if self.touching.geoms else None
         return Problem(self._tree(), rhs, self._sets(), self._rows, world, dtype)
 
-    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> list[Lane]:
-        """Compute M a + b - J^T f_ext."""
+    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> Any:
+        """Compute M a + b - J^T f_ext, per link."""
         d = self.d
         return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
+
+    def _driver(self) -> Driver:
+        """Return a driver whose whole form is a list."""
+        model, dtype = self.model, self.q.dtype
+        if self._articulated and kernels_available():
+            d = driver(on_threads(model, dtype), dtype)
+            if d.listed:
+                return d
+        return Unrolled(model, prepare(model, dtype))
 
     @cached_property
     def _articulated(self) -> bool:
         """Whether all contacts are with the world, other rows are on single dofs, and all links are
         rigid."""
         world = all(WORLD in pair for pair in self.touching.link_pairs)
-        rigid = all(is_zero(x) for x in jax.tree.leaves([joint.modal for joint in self.joints]))
-        return rigid and world and all(len(row.J) == 1 for row in self._rows)
+        rigid = not any(dof.kind.modal for dof in self.top.dofs)
+        return rigid and world and not self._rows_of_several_dofs
+
+    @property
+    def _rows_of_several_dofs(self) -> bool:
+        own, kinds = self.model.solver, self.top.joints
+        assert own is not None
+        balls = any(kinds[j].quaternion for j in own.limited)
+        return balls or has_tendon_rows(self.model) or bool(self.model.constraints)
 
     def _tree(self) -> Tree | ArticulatedTree:
         links = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            parts = zip(self.joints, self.d.constants, strict=True)
-            X = [joint.transform(link) for joint, link in parts]
-            return ArticulatedTree(self.d, self.joints, X, *links, weights)
+            return ArticulatedTree(self.d, self.joints, *links, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
         M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]

@@ -17,7 +17,7 @@ from rbjax.contact.contact_rows import ContactSet, Slots, place_of
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.newton import Solution
 from rbjax.contact.problem import Problem, residual
-from rbjax.lanes import Lane, Vec3, pack, unpack
+from rbjax.lanes import Lane, Vec3, pack
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.spatial import Force
@@ -27,7 +27,7 @@ class ContactForces(Record):
     """The forces of contacts, one row a contact. The number n of rows is fixed.
 
     Fields:
-        exists: (n,) whether the contact exists.
+        exists: (n,) whether the contact exists: its distance is below margin + gap of the pair.
         distance: (n,) m, between the surfaces; negative if they overlap.
         position: (n, 3) m, in the world.
         frame: (n, 3, 3) axes row by row in world axes: the normal from the first geom to the
@@ -81,19 +81,18 @@ def geoms_of_rows(model: Model, sets: Sequence[ContactSet]) -> tuple[tuple[int, 
 def rows_of_slots(
     problem: Problem, solution: Solution, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
-    """Compute the rows of `contact_forces` and J^T f from the slots, which have their places."""
+    """Compute the rows of `contact_forces` and J^T f from the slots."""
     found, wrenches = [], _no_wrenches(problem)
     for contacts, slots, r in zip(problem.sets, problem.slots, solution.residuals, strict=True):
 
         def store(
             k: Any, carry: tuple, of: ContactSet = contacts, slots: Slots = slots, r: Any = r
         ) -> tuple:
-            row, places, (rows, wrenches) = slots.row(k, of.dim), slots.places, carry
-            assert places is not None
+            row, (rows, wrenches) = slots.row(k, of.dim), carry
             f = of.cone(row).response([r[k, i] for i in range(of.dim)]).f
-            values = _row(unpack(places.rows[k]), origin, f, rows[0])
+            values = _row(place_of(row.contact), origin, f, rows[0])
             wrenches = of.add_wrench(row, wrenches, row.wrench(f))
-            return rows.at[places.candidates[k]].set(values), wrenches
+            return rows.at[row.candidate].set(values), wrenches
 
         none = _no_contacts(contacts, problem.dtype)
         rows, wrenches = slots.fold(store, (none, wrenches))
@@ -102,7 +101,7 @@ def rows_of_slots(
 
 
 def rows_of_candidates(
-    problem: Problem, a: list[Lane], origin: Vec3
+    problem: Problem, a: jax.Array, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
     """Compute the rows of `contact_forces` and J^T f from all candidates, at an acceleration a."""
     found, wrenches = [], _no_wrenches(problem)
@@ -112,8 +111,9 @@ def rows_of_candidates(
         def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
             k, rows, wrenches = carry
             f = of.cone(row).response(residual(of, row, twists)).f
-            values = jnp.where(active, _row(place_of(row), origin, f, rows[0]), rows[k])
             f = [jnp.where(active, x, 0.0) for x in f]
+            values = _row(place_of(row.contact), origin, f, rows[0])
+            values = jnp.where(row.contact.exists, values, rows[k])
             wrenches = of.add_wrench(row, wrenches, row.wrench(f))
             return k + 1, rows.at[k].set(values), wrenches
 

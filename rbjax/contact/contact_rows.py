@@ -1,7 +1,7 @@
 """Rows of the contact problem that belong to contacts of geoms.
 
-A loop over the pairs of geoms runs the narrow phase and stores the rows of the active contacts in
-consecutive slots. All further loops run over the active contacts, so their cost follows the number
+A loop over the pairs of geoms runs the narrow phase and stores the active contacts in consecutive
+slots. The rows, and all further loops, are of the active contacts, so their cost follows the number
 of contacts and not of candidates. There is a slot for each candidate, so no contact is lost.
 
 Rows are in world axes about one origin o near the robot. With b_k = [(p - o) x e_k; e_k] for the
@@ -38,16 +38,16 @@ class Row(NamedTuple):
         axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
-        contact: the contact about the origin, if the row is not from a slot.
-        candidate: index of the candidate in its set, if the row is not from a slot.
+        contact: the contact about the origin.
+        candidate: index of the candidate in its set.
     """
 
     pair: Any
     axes: list[Motion]
     D: Lane
     reference: list[Lane]
-    contact: Contact | None = None
-    candidate: Any = None
+    contact: Contact
+    candidate: Any
 
     def along(self, y: Motion) -> list[Lane]:
         """Compute b_k . y for each row."""
@@ -152,8 +152,17 @@ class ContactSet:
         lanes = jnp.stack([*K.J, *K.H, *K.M])
         return sums.at[_entry(self.link_pairs, row.pair)].add(lanes)
 
-    def scan(self, world: World, step: Callable[[Any, Row, Any], Any], carry: Any) -> Any:
+    def scan(self, world: World, step: Callable[[Any, Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
+
+        def with_row(carry: Any, *at: Any) -> Any:
+            active = at[-1]
+            return step(carry, self.row_of(world, *at), active)
+
+        return self._scan(world, with_row, carry)
+
+    def _scan(self, world: World, step: Callable, carry: Any) -> Any:
+        """Run carry = step(carry, contact, pair, candidate, active) over all candidates."""
         start = 0
         for kind, pairs in self.kinds.items():
             count = COUNTS[kind.kinds]
@@ -166,8 +175,7 @@ class ContactSet:
                 found = pair_contacts(kind, one, other, reach, world.heights)
                 for k, contact in enumerate(found):
                     active = contact.exists & (contact.distance < margin)
-                    row = self._row(world, contact, pair, first + k, margin, active)
-                    carry = step(carry, row, active)
+                    carry = step(carry, contact, pair, first + k, active)
                 return carry, None
 
             if len(pairs) == 1:
@@ -178,10 +186,40 @@ class ContactSet:
             start += count * len(pairs)
         return carry
 
-    def _row(
-        self, world: World, contact: Contact, pair: Any, candidate: Any, margin: Lane, active: Any
-    ) -> Row:
+    def found(self, world: World, *, gap: bool = False) -> Found:
+        """Run the narrow phase and store the active contacts.
+
+        gap: whether to store the contacts in the gap too, which have no force.
+        """
+
+        def store(found: Found, contact: Contact, pair: Any, candidate: Any, active: Any) -> Found:
+            # the next contact overwrites one that is not stored
+            k, more = found.length, contact.exists if gap else active
+            tangent = Vec3.zero() if contact.tangent is None else contact.tangent
+            lanes = [contact.distance, *contact.position, *contact.normal, *tangent]
+            return Found(
+                k + jnp.asarray(more, jnp.int32),
+                found.contacts.at[k].set(pack(lanes, found.contacts[0])),
+                found.pairs.at[k].set(jnp.asarray(pair, jnp.int32)),
+                found.candidates.at[k].set(jnp.asarray(candidate, jnp.int32)),
+            )
+
+        n, dtype = self.candidates, world.geoms.dtype
+        index = jnp.zeros(n, jnp.int32)
+        return self._scan(
+            world, store, Found(jnp.int32(0), jnp.zeros((n, 10), dtype), index, index)
+        )
+
+    def row_of_found(self, world: World, found: Found, k: Any) -> Row:
+        """Compute the rows of a contact that `found` has stored."""
+        contact, pair = found.contact(k), found.pairs[k]
+        active = contact.distance < self._lane(self.parameters.margin, pair)
+        return self.row_of(world, contact, pair, found.candidates[k], active)
+
+    def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Row:
+        """Compute the rows of a contact. If it is not active, D is 0."""
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
+        margin = self._lane(self.parameters.margin, pair)
         axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
         row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [], contact, candidate)
         v = row.along(self.relative(row, world.twists))
@@ -233,86 +271,75 @@ class ContactSet:
         return float(found) if isinstance(found, np.generic) else found.astype(self.dtype)
 
 
-class Places(NamedTuple):
-    """The places of the contacts in slots.
+class Found(NamedTuple):
+    """The contacts that the narrow phase of a set has found, in consecutive slots.
 
     Fields:
-        scanned: the number of candidates so far.
-        candidates: (n,) index of the candidate of each slot.
-        rows: (n, 13) distance, position about the origin, and axes of each slot.
+        length: the number of contacts.
+        contacts: (n, 10) distance, position about the origin, normal, and the direction of the
+            first tangent, zero for none.
+        pairs: (n,) the pair of geoms of each contact.
+        candidates: (n,) the candidate of each contact.
     """
 
-    scanned: jax.Array
+    length: jax.Array
+    contacts: jax.Array
+    pairs: jax.Array
     candidates: jax.Array
-    rows: jax.Array
 
-    @classmethod
-    def empty(cls, n: int, dtype: Any) -> Places:
-        """Return the places of n empty slots."""
-        return cls(jnp.int32(0), jnp.zeros(n, jnp.int32), jnp.zeros((n, 13), dtype))
+    def contact(self, k: Any) -> Contact:
+        """Return the contact of a slot."""
+        x = unpack(self.contacts[k])
+        return Contact(x[0], Vec3(*x[1:4]), Vec3(*x[4:7]), True, Vec3(*x[7:]))
 
-    def store(self, k: Any, row: Row) -> Places:
-        """Store the place of the next candidate in slot k."""
-        values = pack(place_of(row), self.rows[0])
-        candidates = self.candidates.at[k].set(self.scanned)
-        return Places(self.scanned + 1, candidates, self.rows.at[k].set(values))
+    def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
+        """Run carry = step(k, carry) over the slots in use."""
+        return jax.lax.fori_loop(0, self.length, step, carry)
 
 
-def place_of(row: Row) -> list[Lane]:
+def place_of(contact: Contact) -> list[Lane]:
     """Return distance, position about the origin, and axes of a contact, 13 lanes."""
-    contact = row.contact
-    assert contact is not None
     axes = contact_frame(contact.normal, contact.tangent)
     return [contact.distance, *contact.position, *(x for axis in axes for x in axis)]
 
 
 class Slots(NamedTuple):
-    """The active contacts of a set, in consecutive slots.
+    """The active contacts of a set with their rows, in consecutive slots.
 
     Fields:
-        length: the number of active contacts.
+        found: the contacts.
         rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
-        pairs: (n,) the pair of geoms of each slot.
-        places: the places of the contacts, or None.
     """
 
-    length: jax.Array
+    found: Found
     rows: jax.Array
-    pairs: jax.Array
-    places: Places | None = None
 
     @classmethod
-    def collect(cls, contacts: ContactSet, world: World, *, places: bool = False) -> Slots:
-        """Run the narrow phase of a set and store the active contacts.
+    def collect(cls, contacts: ContactSet, world: World, *, gap: bool = False) -> Slots:
+        """Run the narrow phase of a set, and compute the rows of its contacts.
 
-        places: whether to store the places of the contacts too.
+        gap: whether to include the contacts in the gap, which have no force.
         """
-        n, m, dtype = contacts.candidates, 7 * contacts.dim + 1, world.geoms.dtype
-        like = jnp.zeros(m, dtype)
+        found = contacts.found(world, gap=gap)
 
-        def store(slots: Slots, row: Row, active: Any) -> Slots:
-            # the next contact overwrites one that is not active
+        def compute(k: Any, rows: jax.Array) -> jax.Array:
+            row = contacts.row_of_found(world, found, k)
             lanes = [x for axis in row.axes for x in axis]
-            values = pack([*lanes, row.D, *row.reference], like)
-            rows = slots.rows.at[slots.length].set(values)
-            pairs = slots.pairs.at[slots.length].set(jnp.asarray(row.pair, jnp.int32))
-            at = None if slots.places is None else slots.places.store(slots.length, row)
-            return Slots(slots.length + jnp.asarray(active, jnp.int32), rows, pairs, at)
+            return rows.at[k].set(pack([*lanes, row.D, *row.reference], rows[0]))
 
-        at = Places.empty(n, dtype) if places else None
-        none = Slots(jnp.int32(0), jnp.zeros((n, m), dtype), jnp.zeros(n, jnp.int32), at)
-        return contacts.scan(world, store, none)
+        none = jnp.zeros((contacts.candidates, 7 * contacts.dim + 1), world.geoms.dtype)
+        return cls(found, found.fold(compute, none))
 
     def row(self, k: Any, dim: int) -> Row:
         """Return the row of a slot."""
-        x = self.rows[k]
-        lanes = [x[i] for i in range(7 * dim + 1)]
-        axes = [Motion.from_lanes(lanes[6 * i : 6 * i + 6]) for i in range(dim)]
-        return Row(self.pairs[k], axes, lanes[6 * dim], lanes[6 * dim + 1 :])
+        x, found = unpack(self.rows[k]), self.found
+        axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
+        at = found.contact(k), found.candidates[k]
+        return Row(found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], *at)
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the active slots."""
-        return jax.lax.fori_loop(0, self.length, step, carry)
+        """Run carry = step(k, carry) over the slots in use."""
+        return self.found.fold(step, carry)
 
 
 def _shape(row: jax.Array) -> Shape:

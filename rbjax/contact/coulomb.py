@@ -28,7 +28,7 @@ from rbjax.contact.problem import Problem, residual
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
-from rbjax.lanes import batch_first, unpack
+from rbjax.lanes import batch_first, pack
 from rbjax.model import Model, State
 
 #: bytes of a number -> the relative change of the latched forces at which the iteration ends
@@ -128,7 +128,7 @@ class CoulombContact:
             assembly, problem = problem_at(*at)
             _, f_ext, *_ = rebuilt(at[0])
             tau, d = at[3], assembly.d
-            pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
+            pushes = pack(problem.constraint_forces(a), tau)
             return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
         def remembered(*at: Any) -> jax.Array:
@@ -236,7 +236,7 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
     tree, dtype = problem.tree, problem.dtype
 
     def coupled(y: jax.Array) -> jax.Array:
-        moving = tree.twists(unpack(y), dtype)
+        moving = tree.twists(y, dtype)
         wrenches = jnp.zeros((len(tree.touching) + 1, 6), dtype)
         for contacts, slots, r in _discs(problem, solution.residuals):
 
@@ -250,16 +250,13 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
                 return of.add_wrench(row, out, row.wrench(f))
 
             wrenches = slots.scan(push, wrenches)
-        return jnp.stack([jnp.asarray(f, dtype) for f in tree.generalized(wrenches)])
-
-    def direct(b: jax.Array) -> jax.Array:
-        return jnp.stack([jnp.asarray(y, dtype) for y in factors.solve(list(b))])
+        return pack(tree.generalized(wrenches), y)
 
     def change(b: jax.Array) -> jax.Array:
         if not _discs(problem):
-            return direct(b)
-        again = lambda y, _: (direct(b + coupled(y)), None)  # noqa: E731
-        return jax.lax.scan(again, direct(b), None, length=LINEAR)[0]
+            return factors.solve(b)
+        again = lambda y, _: (factors.solve(b + coupled(y)), None)  # noqa: E731
+        return jax.lax.scan(again, factors.solve(b), None, length=LINEAR)[0]
 
     return change
 
@@ -279,7 +276,7 @@ def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
 
 def _memory_of_candidates(problem: Problem, a: jax.Array, memory: jax.Array) -> jax.Array:
     """Compute the memory after a step from all candidates; reverse-mode derivatives exist."""
-    twists, parts = problem.tree.twists(unpack(a), problem.dtype), list[Any]()
+    twists, parts = problem.tree.twists(a, problem.dtype), list[Any]()
     for contacts in problem.sets:
         if isinstance(contacts, DiscSet):
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.algorithms.aba import factorize
-from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.choice import Driver, Rolled
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
@@ -47,9 +47,14 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
         dtype: the dtype of traced results; the one of the model if None.
     """
     dtype = model.gravity.dtype if dtype is None else dtype
+    if model.execution.weights is not None:
+        return model.execution.weights
     traced = [isinstance(x, jax.core.Tracer) for x in constant_leaves(model).values()]
     constant = model.execution.constants is None and not any(traced)
-    d = Unrolled(model, prepare(model, dtype)) if constant else driver(model, dtype)
+    if constant:
+        d: Driver = Unrolled(model, prepare(model, dtype))
+    else:  # a short program, which runs once
+        d = Rolled(model, prepare(model, dtype))
     response, diagonal = d.unzip(_responses(d, _joints(d, model, dtype)), 2)
     if not model.nv:
         return np.zeros((model.nb, 2)), np.zeros(0)
@@ -62,6 +67,11 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
     body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
     return _with_slides(model, body, dof)
+
+
+def with_weights(model: Model, dtype: Any = None) -> Model:
+    """Precompute the inverse weights and store them in the model, for all steps of a motion."""
+    return model.replace(weights=inverse_weights(model, dtype))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

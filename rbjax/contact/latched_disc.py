@@ -186,9 +186,9 @@ class DiscSet(ContactSet):
         d, weight = self.stiffness, self._lane(self.weights, row.pair)
         return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch)
 
-    def _row(
-        self, world: World, contact: Contact, pair: Any, candidate: Any, margin: Lane, active: Any
-    ) -> Any:
+    def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
+        """Compute the rows of a contact. If it is not active, D is 0."""
+        margin = self._lane(self.parameters.margin, pair)
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
         axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
         axes = self._in_link(world, axes[: self.dim], pair)
@@ -212,27 +212,20 @@ class DiscSet(ContactSet):
     def collect(self, world: World) -> DiscSlots:
         """Run the narrow phase and store the active contacts, with the forces of the last step."""
         n, m, dtype = self.candidates, 7 * self.dim + 1, world.geoms.dtype
+        found = self.found(world)
 
-        def store(slots: DiscSlots, row: DiscRow, active: Any) -> DiscSlots:
-            k, like = slots.length, slots.latches
+        def compute(k: Any, carry: tuple) -> tuple:
+            rows, bristles, latches = carry
+            row: Any = self.row_of_found(world, found, k)
             lanes = [x for axis in row.axes for x in axis]
-            values = pack([*lanes, row.D, *row.reference], like)
-            bristle = pack([*row.bristle, *(x for e in row.frame for x in e)], like)
-            return DiscSlots(
-                k + jnp.asarray(active, jnp.int32),
-                slots.rows.at[k].set(values),
-                slots.bristles.at[k].set(bristle),
-                slots.pairs.at[k].set(jnp.asarray(row.pair, jnp.int32)),
-                slots.candidates.at[k].set(jnp.asarray(row.candidate, jnp.int32)),
-                like.at[k].set(self.memory[row.candidate, NORMAL]),
-            )
+            values = pack([*lanes, row.D, *row.reference], latches)
+            bristle = pack([*row.bristle, *(x for e in row.frame for x in e)], latches)
+            latch = self.memory[row.candidate, NORMAL]
+            return rows.at[k].set(values), bristles.at[k].set(bristle), latches.at[k].set(latch)
 
-        shapes = ((n, m), (n, self.dim + 8))
-        none = DiscSlots(
-            jnp.int32(0), *(jnp.zeros(x, dtype) for x in shapes), jnp.zeros(n, jnp.int32),
-            jnp.zeros(n, jnp.int32), jnp.zeros(n, dtype),
-        )  # fmt: skip
-        return self.scan(world, store, none)
+        none = tuple(jnp.zeros(x, dtype) for x in ((n, m), (n, self.dim + 8), (n,)))
+        rows, bristles, latches = found.fold(compute, none)
+        return DiscSlots(found.length, rows, bristles, found.pairs, found.candidates, latches)
 
     def next_memory(self, row: Any, r: Sequence[Lane], active: Any) -> jax.Array:
         """Compute the memory of a candidate after a step, from its residual at the solution.

@@ -6,7 +6,11 @@ The cost is convex and piecewise smooth, so the method converges from any start.
 step is exact (pyramids, limits, friction loss) or converges quadratically (elliptic cones). The
 iteration ends if the gradient g is small relative to the forces:
 
-    sum w_i g_i^2 <= tolerance^2 sum w_i (rhs_i^2 + (M x)_i^2 + (J^T f)_i^2),   w_i = (M^-1)_ii
+    sum w_i g_i^2 <= tolerance^2 sum (w_i rhs_i^2 + x_i^2 / w_i),   w_i = (M^-1)_ii
+
+M x is never computed. With H p = -g, a step changes it by M p = -g - J^T s'' J p. The wrenches of
+the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
+gives the twists of the links at p too, so a step is one inward and one outward sweep.
 
 (Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*, 2014; Boyd &
 Vandenberghe, *Convex Optimization*, 9.5.)
@@ -22,7 +26,6 @@ import jax.numpy as jnp
 
 from rbjax.contact.problem import Problem, add_row
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, total, unpack
-from rbjax.lanes.factorization import LDLT
 
 #: bytes of a number -> the relative gradient at which the iteration ends
 TOLERANCE = {4: 1e-5, 8: 1e-12}
@@ -49,11 +52,20 @@ class Solution(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """An iterate: x, M x, the residuals of the contacts of each set, the error of the iterate
-    before the last step, and the number of steps."""
+    """An iterate of the method.
+
+    Fields:
+        x: (nv,) the acceleration.
+        u: (nv,) M x - rhs + J^T w.
+        w: (n + 1, 6) wrenches on the links that can touch.
+        residuals: of the contacts of each set.
+        error: the error of the iterate before the last step.
+        iterations: the number of steps.
+    """
 
     x: jax.Array
-    Mx: jax.Array
+    u: jax.Array
+    w: jax.Array
     residuals: list[jax.Array]
     error: jax.Array
     iterations: jax.Array
@@ -92,7 +104,7 @@ def solve(
     return Solution(at.x, at.iterations - 1, at.error, at.residuals)
 
 
-def factorize_at(problem: Problem, solution: Solution) -> LDLT:
+def factorize_at(problem: Problem, solution: Solution) -> Any:
     """Factorize the Hessian at a solution."""
     at = _start(problem)._replace(x=solution.x, residuals=solution.residuals)
     return _factors(problem, at, _evaluate(problem, at))
@@ -100,14 +112,16 @@ def factorize_at(problem: Problem, solution: Solution) -> LDLT:
 
 def _start(problem: Problem) -> _Iterate:
     """Return the iterate x = 0, whose residuals are -a_ref."""
-    zero = jnp.zeros(len(problem.rhs), problem.dtype)
+    zero, dtype = jnp.zeros(len(problem.rhs), problem.dtype), problem.dtype
     residuals = []
     for contacts, slots in zip(problem.sets, problem.slots, strict=True):
         residuals.append(-slots.rows[:, 6 * contacts.dim + 1 :])
-    return _Iterate(zero, zero, residuals, jnp.full((), jnp.inf, problem.dtype), jnp.int32(0))
+    u = pack([neg(y) for y in problem.rhs], zero)
+    w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
+    return _Iterate(zero, u, w, residuals, jnp.full((), jnp.inf, dtype), jnp.int32(0))
 
 
-def _factors(problem: Problem, at: _Iterate, values: _Values) -> LDLT:
+def _factors(problem: Problem, at: _Iterate, values: _Values) -> Any:
     x = unpack(at.x)
     rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.rows]
     return problem.tree.factorize(values.stiffness, rows)
@@ -116,8 +130,8 @@ def _factors(problem: Problem, at: _Iterate, values: _Values) -> LDLT:
 def _evaluate(problem: Problem, at: _Iterate) -> _Values:
     """Compute gradient, stiffness and error at an iterate."""
     tree, dtype = problem.tree, problem.dtype
-    wrenches = jnp.zeros((len(tree.touching) + 1, 6), dtype)
     stiffness = jnp.zeros((len(tree.link_pairs), 21), dtype)
+    wrenches = at.w
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
         def push(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> tuple:
@@ -132,46 +146,62 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
     for row in problem.rows:
         f, _ = row.response(sub(row.along(x), row.reference))
         forces = add_row(forces, row, f)
-    y = unpack(at.Mx)
-    g = [sub(a, add(b, f)) for a, b, f in zip(y, problem.rhs, forces, strict=True)]
-    size = _square(tree.weights, y, problem.rhs, forces)
-    error = jnp.sqrt(_square(tree.weights, g) / jnp.maximum(size, jnp.finfo(dtype).tiny))
+    g = [sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)]
+    weights = tree.weights
+    size = add(_square(weights, problem.rhs), _square([1.0 / w for w in weights], x))
+    error = jnp.sqrt(_square(weights, g) / jnp.maximum(size, jnp.finfo(dtype).tiny))
     return _Values(pack(g, at.x), stiffness, jnp.asarray(error, dtype))
 
 
-def _square(weights: Sequence[Lane], *vectors: Sequence[Lane]) -> Lane:
-    """Compute the sum of w_i x_i^2 over some vectors x."""
-    return total(mul(d, mul(x, x)) for v in vectors for d, x in zip(weights, v, strict=True))
+def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
+    """Compute the sum of w_i x_i^2."""
+    return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))
 
 
 def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
-    tree, g = problem.tree, unpack(values.gradient)
-    step = pack(_factors(problem, at, values).solve([neg(y) for y in g]), at.x)
-    p = unpack(step)
-    change = pack(tree.times_M(p), at.x)
-    twists = tree.twists(p, problem.dtype)
-    rates = []
+    tree, g, dtype = problem.tree, unpack(values.gradient), problem.dtype
+    p, twists = tree.step(_factors(problem, at, values), -values.gradient, dtype)
+    # the change of u, its product with p, and the wrenches of J^T s'' J p
+    change, x, s = [neg(y) for y in g], unpack(at.x), unpack(p)
+    for row in problem.rows:
+        _, h = row.response(sub(row.along(x), row.reference))
+        change = add_row(change, row, neg(mul(h, row.along(s))))
+    curvature, wrenches, rates = inner(s, change), jnp.zeros_like(at.w), []
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
-        def along(k: Any, r: jax.Array, of: Any = contacts, slots: Any = slots) -> jax.Array:
+        def along(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+            rates, wrenches, curvature = carry
             row = slots.row(k, of.dim)
-            return r.at[k].set(jnp.stack(row.along(of.relative(row, twists))))
+            s = row.along(of.relative(row, twists))
+            f = products(of.cone(row).response([r[k, i] for i in range(of.dim)]).H, s)
+            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            return rates.at[k].set(jnp.stack(s)), wrenches, sub(curvature, inner(f, s))
 
-        rates.append(slots.fold(along, jnp.zeros_like(r)))
-    alpha = _line_search(problem, at, values, p, unpack(change), rates)
+        carry = jnp.zeros_like(r), wrenches, jnp.asarray(curvature, dtype)
+        found, wrenches, curvature = slots.fold(along, carry)
+        rates.append(found)
+    slope = sub(inner(s, unpack(at.u)), (twists * at.w).sum())
+    alpha = _line_search(problem, at, values, s, (slope, curvature), rates)
     residuals = [r + alpha * s for r, s in zip(at.residuals, rates, strict=True)]
-    return _Iterate(
-        at.x + alpha * step, at.Mx + alpha * change, residuals, at.error, at.iterations
-    )  # fmt: skip
+    u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
+    return _Iterate(at.x + alpha * p, u, w, residuals, at.error, at.iterations)
+
+
+def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
+    """Compute H s of a symmetric matrix, from the rows of its lower triangle."""
+    n = range(len(s))
+    return [total(mul(H[max(i, j)][min(i, j)], s[j]) for j in n) for i in n]
 
 
 def _line_search(
-    problem: Problem, at: _Iterate, values: _Values, p: list, Mp: list, rates: list
+    problem: Problem, at: _Iterate, values: _Values, p: list, smooth: tuple, rates: list
 ) -> jax.Array:
-    """Find the zero of the cost's slope along p, by Newton's method with a bracket."""
-    x, rhs = unpack(at.x), problem.rhs
-    constant = inner(p, [sub(a, b) for a, b in zip(unpack(at.Mx), rhs, strict=True)])
-    curvature = inner(p, Mp)
+    """Find the zero of the cost's slope along p, by Newton's method with a bracket.
+
+    smooth: slope at 0 and curvature along p of the cost without contacts and rows.
+    """
+    x = unpack(at.x)
+    constant, curvature = smooth
     scalar = [(row, sub(row.along(x), row.reference), row.along(p)) for row in problem.rows]
 
     def slope(alpha: jax.Array) -> tuple[Lane, Lane]:

@@ -21,10 +21,20 @@ import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, sub, unpack
+from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
+
+
+class Factors(NamedTuple):
+    """The factors of the Hessian."""
+
+    factors: LDLT
+
+    def solve(self, b: jax.Array) -> jax.Array:
+        """Solve H x = b."""
+        return pack(self.factors.solve(unpack(b)), b)
 
 
 class Tree(NamedTuple):
@@ -48,19 +58,9 @@ class Tree(NamedTuple):
     link_pairs: Sequence[tuple[int, int]]
     weights: list[Lane]
 
-    def times_M(self, x: list[Lane]) -> list[Lane]:
-        """Compute M x."""
-        out: list[Lane] = [0.0] * len(x)
-        for i, row in enumerate(self.M):
-            for j, m in enumerate(row):
-                out[i] = add(out[i], mul(m, x[j]))
-                if j < i:
-                    out[j] = add(out[j], mul(m, x[i]))
-        return out
-
-    def twists(self, x: list[Lane], dtype: Any) -> jax.Array:
+    def twists(self, x: jax.Array, dtype: Any) -> jax.Array:
         """Compute the twists (n + 1, 6) of the links that can touch and of the world at joint
-        velocities x."""
+        velocities x (nv,)."""
         found: dict[int, Motion] = {}
         for link in self.touching:
             for i in self.ancestors[link]:
@@ -87,7 +87,12 @@ class Tree(NamedTuple):
                 out[parent] = out[parent] + out[i] if parent in out else out[i]
         return out
 
-    def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> LDLT:
+    def step(self, factors: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """Solve H x = b. Return x and the twists of `twists` at x."""
+        x = factors.solve(b)
+        return x, self.twists(x, dtype)
+
+    def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize M + J^T H J, the Hessian of the problem.
 
         stiffness: (n, 21) sum of b_k H_kl b_l^T of the contacts of each pair of links, a symmetric
@@ -113,7 +118,7 @@ class Tree(NamedTuple):
                 for j, y in row.J.items():
                     if j <= i:
                         A[i][j] = add(A[i][j], mul(mul(h, x), y))
-        return ldlt(A)
+        return Factors(ldlt(A))
 
 
 def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> None:
@@ -158,12 +163,12 @@ class Problem:
     dtype: Any
     slots: Sequence[Slots] = ()
 
-    def detect(self, *, places: bool = False) -> Problem:
+    def detect(self, *, gap: bool = False) -> Problem:
         """Return the problem with its active contacts.
 
-        places: whether the slots have the places of the contacts.
+        gap: whether to include the contacts in the gap, which have no force.
         """
-        slots = [Slots.collect(x, self.touching, places=places) for x in self.sets]
+        slots = [Slots.collect(x, self.touching, gap=gap) for x in self.sets]
         return replace(self, slots=slots)
 
     @property
@@ -172,8 +177,8 @@ class Problem:
         assert self.world is not None
         return self.world
 
-    def constraint_forces(self, x: list[Lane]) -> list[Lane]:
-        """Compute J^T f at x from all candidates; reverse-mode derivatives exist."""
+    def constraint_forces(self, x: jax.Array) -> list[Lane]:
+        """Compute J^T f at x (nv,) from all candidates; reverse-mode derivatives exist."""
         twists = self.tree.twists(x, self.dtype)
         wrenches = jnp.zeros_like(twists)
         for contacts in self.sets:
@@ -185,8 +190,9 @@ class Problem:
 
             wrenches = contacts.scan(self.touching, push, wrenches)
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
+        lanes = unpack(x)
         for row in self.rows:
-            f, _ = row.response(sub(row.along(x), row.reference))
+            f, _ = row.response(sub(row.along(lanes), row.reference))
             out = add_row(out, row, f)
         return out
 

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
     ContactForces,
@@ -28,7 +29,7 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_jvp,
 )
 from rbjax.errors import InputError
-from rbjax.lanes import batch_first, unpack
+from rbjax.lanes import batch_first, pack
 from rbjax.model import Model, State
 
 
@@ -64,18 +65,13 @@ def contact_acceleration(
 
     def solved(*at):
         problem, found = solved_at(*at)
-        factors = factorize_at(problem, found)
-
-        def change(b):
-            return jnp.stack([jnp.asarray(y, b.dtype) for y in factors.solve(list(b))])
-
-        return _with_report(found), [change]
+        return _with_report(found), [factorize_at(problem, found).solve]
 
     def residual(changed, q, v, tau, a):
         model, f_ext, dt, t = rebuilt(changed)
         assembly = Assembly(model, q, v, dt, t)
         problem, d = assembly.problem(tau, f_ext), assembly.d
-        pushes = d.pack(problem.constraint_forces(d.lanes(a)), tau)
+        pushes = pack(problem.constraint_forces(a), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
@@ -100,7 +96,7 @@ def solution_at(
     def plain(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
         model, f_ext, dt, t = rebuilt(changed)
         assembly = Assembly(model, q, v, dt, t)
-        problem = assembly.problem(tau, f_ext).detect(places=True)
+        problem = assembly.problem(tau, f_ext).detect(gap=True)
         names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
         found = solve(problem, iterations=iterations)
         contacts = rows_of_slots(problem, found, assembly.origin)
@@ -111,7 +107,8 @@ def solution_at(
         a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
         assembly = Assembly(model, q, v, dt, t)
         problem = assembly.problem(tau, f_ext)
-        contacts = rows_of_candidates(problem, unpack(a), assembly.origin)
+        names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
+        contacts = rows_of_candidates(problem, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
     def rule(primals: tuple, tangents: tuple) -> tuple:
@@ -160,7 +157,12 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        return contact_acceleration(*self._arguments(model, t, state, tau, f_ext))[0]
+        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
+            return contact_acceleration(model, q, v, tau, *rest)[0]
+
+        return threads(solved)(q, v, tau)
 
     def solve(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None

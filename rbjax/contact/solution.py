@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.contact.contact_forces import ContactForces, contact_forces
 from rbjax.contact.newton import tolerance_of
@@ -47,6 +48,10 @@ class ContactSolution(Record):
     def constraint(self) -> jax.Array:
         """The generalized forces (nv,) of all rows, MuJoCo's qfrc_constraint."""
         return self.contact + self.limit + self.friction + self.equality
+
+    def forces_of(self, kind: str) -> jax.Array:
+        """Return the forces of the rows of a kind."""
+        return self.rows[np.array([k for k, x in enumerate(self.sources) if x[0] == kind], int)]
 
     def force_of(self, kind: str, part: str, index: int) -> Lane:
         """Return the sum of the forces of the rows of a kind that belong to a part of the model."""

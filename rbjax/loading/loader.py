@@ -35,6 +35,7 @@ from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
 from rbjax.loading.mjcf.contacts import (
     check_geoms,
+    check_rows,
     closed_pairs,
     contacts_left_out,
     kinds_of,
@@ -45,7 +46,7 @@ from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.mjcf.surfaces import surface_fields
-from rbjax.loading.mjcf.tendons import tendons_of
+from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -72,7 +73,7 @@ def load(
     motors: bool = False,
     constraints: bool = True,
     compliant: bool = False,
-    contacts: bool = False,
+    contacts: bool = True,
 ) -> Model:
     """Load a `Model` from an MJCF or URDF file.
 
@@ -82,17 +83,19 @@ def load(
             False and None fix it to the world; None warns if it has a mass.
         strict: raise, instead of warning, if features of the file are not supported, or if damping,
             stiffness, armature or friction is negative.
-        limits: add compliant stops at the joint limits (`rbjax.forces.JointLimits`).
+        limits: load the joint limits as compliant stops (`rbjax.forces.JointLimits`).
         friction: load the friction loss of joints as `rbjax.forces.JointFriction`.
         motors: add a motor of gear 1, with the joint's name, to each hinge and slide without one.
         constraints: load connects, welds, joint and tendon equalities and mimics as rigid
             constraints (`model.constraints`).
         compliant: make the equalities compliant by MuJoCo's solref and solimp
-            (`rbjax.constraints.Soft`); mimics stay rigid unless `contacts` is on.
-        contacts: take the contacts, limits, friction loss and equalities of the file as one problem
-            (`model.contact = "mujoco"`), in place of the elements of `limits` and `friction`. All
-            equalities and mimics are then compliant. `model.dropped` names the pairs of geoms that
-            have no closed form.
+            (`rbjax.constraints.Soft`); mimics stay rigid unless the model has a contact law.
+        contacts: take the contacts, limits, friction loss and equalities of the file as one
+            problem, as MuJoCo does (`model.contact = "mujoco"`). All equalities and mimics are then
+            compliant. Limits and friction loss that are loaded as elements are not in it. A robot
+            without contacts, limits and friction loss has `model.contact = None` and rigid
+            equalities. False: the robot touches nothing. `model.dropped` names the pairs of geoms
+            that have no closed form.
 
     Returns:
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
@@ -134,6 +137,7 @@ def load(
     mixed: tuple[str, ...] = ()
     if contacts:
         check_geoms(compiled)
+        check_rows(compiled)
         dropped += contacts_left_out(compiled)
         mixed = mixed_references(compiled)
     if any(x.startswith(features.COLLISION) for x in lost):  # from a URDF, with the link names
@@ -141,9 +145,9 @@ def load(
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
-        f"{describe(source)}: {what}: {'; '.join(map(features.with_cure, entries))}"
+        f"{describe(source)}: {what}: {'; '.join(entries)}"
         for what, entries in (
-            ("left out of the model", dropped),
+            ("left out of the model", [features.with_cure(x) for x in dropped]),
             (_ACTIVE, active),
             (_MIXED, mixed),
         )
@@ -154,9 +158,9 @@ def load(
     for text in texts:
         warnings.warn(text, stacklevel=2)
     with jax.ensure_compile_time_eval():  # numbers of a file are constants in jit too
-        model = from_compiled(compiled, dropped, **taken, compliant=compliant or contacts)
+        model = from_compiled(compiled, dropped, **taken, compliant=compliant)
         couplings = mimics.couplings if constraints else ()
-        if contacts:
+        if model.contact is not None:
             couplings = tuple(soft_mimic(compiled, one) for one in couplings)
     model = model.with_constraints(*couplings)
     undone = joints_that_cancel(compiled)
@@ -214,7 +218,11 @@ def from_compiled(
     driven = actuator_elements(m)
     affine = [x for x in driven if is_affine(x)]
     others = [x for x in driven if not is_affine(x)]
-    elastic = force_elements(m, limits=limits and not contacts, friction=friction and not contacts)
+    elastic = force_elements(m, limits=limits, friction=friction)
+    solver = solver_parameters(m, array, limits=not limits, friction=not friction)
+    pairs = closed_pairs(m) if contacts else []
+    tendons = limited_tendons(m) | rubbing_tendons(m)
+    contacts = contacts and bool(pairs or solver.limited or solver.rubbing or tendons.any())
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -236,9 +244,9 @@ def from_compiled(
             params=array(np.zeros(0)),
         ),
         actuators=jax.tree.map(array, to_columns(affine, m.nu)),
-        geoms=geoms_of(m, array, closed_pairs(m) if contacts else None),
+        geoms=geoms_of(m, array, pairs if contacts else None),
         tendons=tendons_of(m, array),
-        solver=solver_parameters(m, array),
+        solver=solver,
         contact="mujoco" if contacts else None,
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
@@ -247,7 +255,7 @@ def from_compiled(
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
         forces=(*elastic, *others),
-        constraints=constraints_of(m, compliant=compliant) if constraints else (),
+        constraints=constraints_of(m, compliant=compliant or contacts) if constraints else (),
         sensors=read_sensors(m)[0],
     )
 

@@ -136,8 +136,9 @@ def with_constants(model: Model, dtype: Any) -> Model:
 
 
 def without_constants(model: Model) -> Model:
-    """Remove precomputed link constants. Call it before user code that may change leaves."""
-    return model if model.execution.constants is None else model.replace(constants=None)
+    """Remove precomputed constants and weights. Call it before user code that may change leaves."""
+    made = model.execution.constants, model.execution.weights
+    return model if made == (None, None) else model.replace(constants=None, weights=None)
 
 
 def _columns(made: Any) -> Prepared:

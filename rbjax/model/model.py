@@ -183,7 +183,7 @@ class Model(Record):
         """
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
-            how = {"constants": None} | how
+            how = {"constants": None, "weights": None} | how
         zeros = how.get("zeros", self.execution.zeros)
         if zeros is not None:
             changes |= with_fixed_entries(changes, dict(zeros))
@@ -324,7 +324,7 @@ class Model(Record):
         if not floating:
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
 
-        return cast_floats(self.replace(constants=None), dtype)
+        return cast_floats(self.replace(constants=None, weights=None), dtype)
 
     def default_state(self) -> State:
         """Return the state at rest at the reference configuration, qpos0 of MJCF."""

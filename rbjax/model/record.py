@@ -157,11 +157,14 @@ class Execution(Record):
         driver: one of `DRIVER_NAMES`.
         zeros: the entries of leaves that are compile-time constants (`Model.fix_zeros`), or None.
         constants: the precomputed link constants (`with_constants`), or None.
+        weights: the precomputed inverse inertias of bodies and dofs that scale the softness of
+            contacts (`rbjax.contact.inverse_weights.with_weights`), or None.
     """
 
     driver: str = eqx.field(static=True, default="auto")
     zeros: tuple | None = eqx.field(static=True, default=None)
     constants: Any = None
+    weights: Any = None
 
     def __check_init__(self) -> None:
         if self.driver not in DRIVER_NAMES:

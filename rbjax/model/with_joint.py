@@ -73,7 +73,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
         solver=None
         if solver is None
         else solver.with_joint(j, top.joint_bodies[j], v, new.nv, limits=single),
-        execution=model.execution.replace(zeros=None, constants=None),
+        execution=model.execution.replace(zeros=None, constants=None, weights=None),
     )
     return changed if model.execution.zeros is None else changed.fix_zeros()
 

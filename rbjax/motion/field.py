@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
 from rbjax.contact.coulomb import CoulombContact
+from rbjax.contact.inverse_weights import with_weights
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -76,7 +77,8 @@ class Field:
         change its leaves (`eqx.tree_at`, `jax.tree.map`).
     dynamics: map from forces to accelerations, or to the velocity after a step.
     dt: step in s that force elements and contacts read; None if no step is fixed.
-    precomputed: model with its link constants, for code that does not change the leaves.
+    precomputed: model with its link constants and inverse weights, for code that does not change
+        the leaves.
     """
 
     model: Model
@@ -85,7 +87,8 @@ class Field:
     precomputed: Model = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "precomputed", self.model)
+        soft = isinstance(self.dynamics, SoftContact)
+        object.__setattr__(self, "precomputed", with_weights(self.model) if soft else self.model)
         object.__setattr__(self, "model", without_constants(self.model))
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
@@ -120,15 +123,20 @@ class Field:
         return applied(self.precomputed, t, state, u, self.dt)
 
     def _acceleration(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
-        dynamics = self.dynamics
-        if isinstance(dynamics, SoftContact) and dynamics.dt is None:
-            dynamics = replace(dynamics, dt=self.dt)
-        a = dynamics(self._model_of_dynamics, t, state, tau, f_ext)
+        a = self.law(self._model_of_dynamics, t, state, tau, f_ext)
         return a if self.dynamics is free_motion else self._checked("result", a, state)
 
     def _checked(self, what: str, x: Any, state: State) -> jax.Array:
         x = check_array("dynamics", f"the {what} of the dynamics", x, (self.model.nv,))
         return x.astype(state.q.dtype)
+
+    @property
+    def law(self) -> Any:
+        """The dynamics; a law of soft contact has the step of the field, unless it has its own."""
+        dynamics = self.dynamics
+        if isinstance(dynamics, SoftContact) and dynamics.dt is None:
+            return replace(dynamics, dt=self.dt)
+        return dynamics
 
     @property
     def _model_of_dynamics(self) -> Model:
@@ -212,7 +220,18 @@ def dynamics_of(
     check_model(where, model)
     if dynamics is free_motion:
         law = model.contact
+        if law is not None and constraints is not None:
+            raise InputError(
+                f"{where}: got constraints={constraints!r} and a model with contact={law!r}, whose "
+                "law solves contacts and soft constraints together; leave constraints out, or "
+                "leave contacts out by model.replace(contact=None)"
+            )
         if law is not None:
+            if constraints is not None:
+                raise InputError(
+                    f"{where}: got constraints={constraints!r}, and the contact law {law!r} of the "
+                    "model solves its constraints too; give none, or load(contacts=False)"
+                )
             return law_of(where, model, law)
         return formulation_of(where, model, constraints) or dynamics
     if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):

@@ -22,6 +22,7 @@ from rbjax.sensors.bodies import (
 from rbjax.sensors.cameras import CameraProjection
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.contact_forces import ContactForces
+from rbjax.sensors.contacts import ContactSensor
 from rbjax.sensors.frames import (
     AngularAcceleration,
     AngularVelocity,
@@ -49,7 +50,6 @@ from rbjax.sensors.joints import (
     Currents,
     CustomSensor,
     JointActuatorForce,
-    JointLimitForce,
     JointLimitPosition,
     JointLimitVelocity,
     JointPosition,
@@ -58,6 +58,7 @@ from rbjax.sensors.joints import (
     Torques,
     Velocities,
 )
+from rbjax.sensors.limit_forces import JointLimitForce, TendonLimitForce
 from rbjax.sensors.model_sensors import sense
 from rbjax.sensors.named import ModelSensor, NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
@@ -80,6 +81,7 @@ __all__ = [
     "Clock",
     "Columns",
     "ContactForces",
+    "ContactSensor",
     "Context",
     "Currents",
     "CustomSensor",
@@ -113,6 +115,7 @@ __all__ = [
     "SubtreeCenter",
     "SubtreeVelocity",
     "TendonActuatorForce",
+    "TendonLimitForce",
     "TendonLimitPosition",
     "TendonLimitVelocity",
     "TendonPosition",

@@ -18,8 +18,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.forces.context import Context, JointState
-from rbjax.forces.joints.limits import JointLimits
+from rbjax.forces.context import Context
 from rbjax.lanes import Lane, inner, is_literal
 from rbjax.lanes.arrays import select
 from rbjax.model import Model
@@ -264,38 +263,6 @@ class JointLimitVelocity(JointLimitSensor):
     def __call__(self, context: Context) -> jax.Array:
         v = context.joint(self.joint).v
         return self.nearest(context, lambda _, slope: inner(slope, v))
-
-
-@register("jointlimitfrc", placed=True)
-class JointLimitForce(JointLimitSensor):
-    """Measure the force of a joint limit (`rbjax.forces.JointLimits`), which is not negative.
-
-    It is zero if the model has no limits (`load(limits=True)`).
-    """
-
-    units, clipped = ("N m", "N"), "above"
-
-    def __call__(self, context: Context) -> jax.Array:
-        joint = context.joint(self.joint)
-        total = [sum_of(context, joint, k) for k in range(len(joint.v))]
-        square = inner(total, total)
-        some = square > 0
-        return reading(context, [jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)])
-
-
-def sum_of(context: Context, joint: JointState, k: int) -> Lane:
-    """Return the generalized force of all `JointLimits` on dof k of a joint."""
-
-    def compute() -> dict[int, Lane]:
-        limits = [x for x in context.model.forces if isinstance(x, JointLimits)]
-        out: dict[int, Lane] = {}
-        for element in limits:
-            for i, x in element.loads(context).tau.items():
-                out[i] = out[i] + x if i in out else x
-        return out
-
-    zero = jnp.zeros((), context.q.dtype)
-    return context.once(sum_of, compute).get(joint.start + k, zero)
 
 
 def _infinite(x: Lane) -> bool:

@@ -15,6 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.reactions import body_reactions
+from rbjax.contact.rows.scalar_row import EQUALITY
+from rbjax.contact.soft import SoftContact
+from rbjax.contact.solution import ContactSolution
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Vec3, fusion_barrier
@@ -28,8 +31,9 @@ from rbjax.spatial import Force
 class Solution:
     """The accelerations of a robot at an instant, and the forces of its constraints and contacts.
 
-    A dynamics with contacts has a method `contact_forces(model, t, state, tau, f_ext)` that returns
-    `ContactForces`; without it no contact force acts.
+    The law of soft contact gives all of them by one solution. Another dynamics with contacts has a
+    method `contact_forces(model, t, state, tau, f_ext)` that returns `ContactForces`; without it no
+    contact force acts.
     """
 
     def __init__(
@@ -53,10 +57,21 @@ class Solution:
         return Field(model, dynamics, self.context.dt)
 
     @cached_property
+    def solved(self) -> ContactSolution | None:
+        """The solution of the contact problem, or None if the dynamics is not soft contact."""
+        law, now = self._field.law, self.context
+        if not isinstance(law, SoftContact) or not now.model.nv:
+            return None
+        tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
+        return law.solve(self._field.precomputed, now.t, now.state, tau, f_ext)
+
+    @cached_property
     def acceleration(self) -> jax.Array:
         """The acceleration v' (nv,)."""
         if self._acceleration is not None:
             return self._acceleration
+        if self.solved is not None:
+            return self.solved.acceleration
         now = self.context
         if not now.model.nv:
             return jnp.zeros(0, now.q.dtype)
@@ -71,9 +86,13 @@ class Solution:
     @cached_property
     def contacts(self) -> ContactForces | None:
         """The contact forces, or None if the dynamics has no contacts."""
-        forces = getattr(self._dynamics, "contact_forces", None)
-        if self._contacts is not None or forces is None:
+        if self._contacts is not None:
             return self._contacts
+        if self.solved is not None:
+            return self.solved.contacts
+        forces = getattr(self._field.dynamics, "contact_forces", None)
+        if forces is None:
+            return None
         now = self.context
         tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
         return forces(now.model, now.t, now.state, tau, f_ext)
@@ -92,9 +111,9 @@ class Solution:
         if self.contacts is not None:
             parts.append(wrenches_of_contacts(now, self.contacts))
         if now.model.constraints:
-            parts.append(
-                body_reactions(now, *self._field.applied(now.t, now.state, self.inputs)[:2])
-            )
+            tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
+            known = None if self.solved is None else self.solved.forces_of(EQUALITY)
+            parts.append(body_reactions(now, tau, f_ext, known))
         for part in parts:
             for b, wrench in part.items():
                 out[b] = out[b] + wrench if b in out else wrench

@@ -10,9 +10,11 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.arguments import flag
 from rbjax.errors import InputError
 from rbjax.loading import compile_model
 from rbjax.loading.loader import from_compiled
+from rbjax.validation import contacts as contacts_of
 from rbjax.validation import ours
 from rbjax.validation.mjx import Mjx
 from rbjax.validation.reference import (
@@ -47,6 +49,7 @@ def compare(
     gradient: bool = True,
     driver: str = "auto",
     floating_base: bool = False,
+    contacts: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Compare a robot in rbjax, MuJoCo C and MJX side by side.
@@ -55,6 +58,10 @@ def compare(
     the model's own springs, dampers and actuators, one semi-implicit Euler step, and the final
     state of a trajectory. It also covers the gradient of a random functional of this state by
     initial velocity and controls (reverse mode against central differences of MuJoCo C).
+
+    With contacts the states are those of a motion of MuJoCo. The comparison covers the number of
+    contacts and the forces of each pair of geoms, the generalized forces of all constraints, the
+    acceleration, and one step by the integrator of the file. It has no MJX and no gradients.
 
     Args:
         source: as for `rbjax.load`.
@@ -65,6 +72,8 @@ def compare(
         gradient: whether to compare gradients, which are most of a large robot's compile time.
         driver: the driver of rbjax; "rolled" compiles faster than "unrolled".
         floating_base: as in `rbjax.load`.
+        contacts: compare contacts, limits, friction loss and equalities, as
+            `rbjax.load(contacts=True)` takes them.
         progress: called with the name of each stage before it starts.
 
     Returns:
@@ -85,6 +94,8 @@ def compare(
         raise InputError(f"compare: states is {states}, expected at least 1")
     say = progress or (lambda stage: None)
     say("MuJoCo C")
+    if flag("compare", "contacts", contacts):
+        return _with_contacts(source, states, seed, seconds, driver, floating_base, say)
     compiled = compile_model(source, floating_base=floating_base)
     reference, off = smooth(compiled)
     if not reference.nv:
@@ -130,6 +141,36 @@ def compare(
     return Report(describe(source), states, steps * dt, rows, off, tuple(notes))
 
 
+def _with_contacts(
+    source: Any, states: int, seed: int, seconds: float, driver: str, floating_base: bool,
+    say: Callable[[str], None],
+) -> Report:  # fmt: skip
+    """Compare the contacts of a file."""
+    with jax.enable_x64(True):
+        reference, model, off = contacts_of.with_contacts(source, floating_base=floating_base)
+        if not reference.nv:
+            raise InputError("compare: the model has no joints, so there is nothing to compare")
+        model = model.replace(driver=driver)
+        pairs = () if model.geoms is None else model.geoms.pairs
+        samples = contacts_of.states_of_motion(reference, states, seed, seconds)
+        want = contacts_of.reference_quantities(reference, pairs, samples)
+        found, reports = {}, []
+        for column, dtype in (("rbjax f64", np.float64), ("rbjax f32", np.float32)):
+            say(column)
+            found[column], report = contacts_of.quantities(model, pairs, samples, dtype)
+            reports.append(report)
+    touching = int((want["contacts"].sum(-1) > 0).sum())
+    most = int(want["contacts"].sum(-1).max(initial=0))
+    note = (
+        f"States of a motion of {seconds:g} s: {touching} of {states} have contacts, {most} at "
+        f"most. Errors are relative to the largest entry of a state, or to {contacts_of.FLOOR:g} "
+        f"in SI units. The solver takes {'; '.join(reports)}."
+    )
+    tolerances = {"": contacts_of.TOLERANCES, "contacts": {"rbjax f64": 0.0}}
+    rows = _rows(want, found, tolerances, contacts_of.FLOOR)
+    return Report(describe(source), states, seconds, rows, off, (note,))
+
+
 def describe(source: Any) -> str:
     """Return the name of a robot for titles: the name of its file, or "model"."""
     text = str(source) if isinstance(source, (str, Path)) else "<"
@@ -162,11 +203,13 @@ def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
     return {"": ALGORITHM, "trajectory": path, "gradient": gradient}
 
 
-def _rows(want: dict, found: dict, tolerances: dict[str, dict[str, float]]) -> tuple[Row, ...]:
+def _rows(
+    want: dict, found: dict, tolerances: dict[str, dict[str, float]], floor: float = 1e-3
+) -> tuple[Row, ...]:
     rows = []
     for quantity, expected in want.items():
         errors = {
-            column: relative(values[quantity], expected[: len(values[quantity])])
+            column: relative(values[quantity], expected[: len(values[quantity])], floor)
             for column, values in found.items()
         }
         rows.append(Row(quantity, errors, tolerances.get(quantity, tolerances[""])))

@@ -117,14 +117,14 @@ class Report:
         }
 
 
-def relative(actual: np.ndarray, expected: np.ndarray) -> Error:
+def relative(actual: np.ndarray, expected: np.ndarray, floor: float = 1e-3) -> Error:
     """Compute the relative errors of samples (first axis): their median and the worst one.
 
-    The error of a sample is the largest deviation over its largest entry, or over 1e-3 if that is
-    larger.
+    The error of a sample is the largest deviation over its largest entry, or over `floor` if that
+    is larger.
     """
     axes = tuple(range(1, expected.ndim))
     deviation = np.abs(actual - expected).max(axes, initial=0.0)
-    size = np.maximum(np.abs(expected).max(axes, initial=0.0), 1e-3)
+    size = np.maximum(np.abs(expected).max(axes, initial=0.0), floor)
     errors = deviation / size
     return Error(float(np.median(errors)), float(errors.max(initial=0.0)))

@@ -128,7 +128,8 @@ def test_a_model_without_pairs_has_no_contacts() -> None:
 
 def test_bad_input_is_named() -> None:
     model = rb.load(
-        PILE.replace('type="box" size=".05 .05 .05"', 'type="ellipsoid" size=".1 .1 .1"')
+        PILE.replace('type="box" size=".05 .05 .05"', 'type="ellipsoid" size=".1 .1 .1"'),
+        contacts=False,
     )
     q = model.default_state().q
     with pytest.raises(rb.UnsupportedFeature, match=r"capsule and ellipsoid.*pairs="):

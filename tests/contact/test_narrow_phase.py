@@ -63,7 +63,12 @@ def arrays(pair, one: tuple, other: tuple, reach: float) -> tuple[jax.Array, ...
     )
 
 
-PRIMITIVES = [kinds for kinds in PAIRS if not {"mesh", "hfield"} & {*kinds}]
+#: a capsule and a cylinder: test_capsule_cylinder.py, because MuJoCo's contact has no closed form
+PRIMITIVES = [
+    kinds
+    for kinds in PAIRS
+    if not {"mesh", "hfield"} & {*kinds} and kinds != ("capsule", "cylinder")
+]
 QUICK = [("plane", "sphere"), ("plane", "capsule"), ("sphere", "box"), ("capsule", "capsule")]
 CASES = [
     *(pytest.param(kinds, 100, id="-".join(kinds)) for kinds in QUICK),

@@ -42,6 +42,8 @@ def compiled(bodies: str, cone: str, impratio: float = 1.0, condim: int = 3) -> 
 def states_of(m: mujoco.MjModel, steps: int, every: int, kick: float = 0.5) -> list[tuple]:
     """States on a trajectory: q, v, the smooth applied forces, v', and the number of contacts."""
     d, out = mujoco.MjData(m), []
+    if m.nkey:
+        mujoco.mj_resetDataKeyframe(m, d, 0)
     d.qvel[:] = kick * np.random.default_rng(0).standard_normal(m.nv)
     for i in range(steps):
         mujoco.mj_step(m, d)
@@ -58,7 +60,7 @@ def compare(m: mujoco.MjModel, steps: int = 300, every: int = 30) -> int:
 
     def found(q, v, tau):
         problem = detected(model, q, v, tau, None)
-        return solve(problem), sum(slots.length for slots in problem.slots)
+        return solve(problem), sum(slots.found.length for slots in problem.slots)
 
     run, most = jax.jit(rb.threads(found)), 0
     for q, v, tau, a, contacts in states_of(m, steps, every):

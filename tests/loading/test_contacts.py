@@ -33,7 +33,7 @@ def test_pairs_without_a_closed_form_are_named() -> None:
     model = quiet(text, contacts=True)
     kinds = model.geoms.types
     assert all((kinds[a], kinds[b]) in rb.contact.pairs() for a, b in model.geoms.pairs)
-    every = quiet(text).geoms.pairs
+    every = quiet(text, contacts=False).geoms.pairs
     missing: dict[str, int] = {}
     for a, b in every:
         if (kinds[a], kinds[b]) not in rb.contact.pairs():
@@ -51,17 +51,34 @@ def test_pairs_without_a_closed_form_are_named() -> None:
 
 def test_limits_and_friction_loss_are_in_the_problem_and_not_elements() -> None:
     text = ROBOT.format("")
-    model = quiet(text, contacts=True, limits=True, friction=True)
+    model = quiet(text)
     assert (model.contact, model.forces) == ("mujoco", ())
     assert model.solver.limited and model.solver.rubbing
     assert not [x for x in model.dropped if x.startswith(("joint", "contacts"))]
-    free = quiet(text)
+    free = quiet(text, contacts=False)
     assert free.contact is None
     assert [x.split(" (")[0] for x in free.dropped] == [
         "contacts", "joint limits", "joint friction loss"
     ]  # fmt: skip
-    elements = [type(x).__name__ for x in quiet(text, limits=True, friction=True).forces]
-    assert elements == ["JointLimits", "JointFriction"]
+    for contacts in (False, True):
+        model = quiet(text, limits=True, friction=True, contacts=contacts)
+        elements = [type(x).__name__ for x in model.forces]
+        assert elements == ["JointLimits", "JointFriction"]
+        assert not model.solver.limited and not model.solver.rubbing
+        assert not [x for x in model.dropped if x.startswith("joint")]
+
+
+def test_a_robot_without_contacts_limits_and_friction_loss_has_no_law() -> None:
+    loop = (
+        '<mujoco><worldbody><body name="a" pos="0 0 1"><joint name="j"/><geom size=".1"/>'
+        '</body></worldbody><equality><connect body1="a" anchor="0 0 .1"/></equality></mujoco>'
+    )
+    model = rb.load(loop, strict=True)  # fmt: skip
+    assert model.contact is None
+    assert not isinstance(model.constraints[0], rb.constraints.Soft)
+    limited = rb.load(loop.replace('name="j"', 'name="j" range="-1 1"'), strict=True)
+    assert limited.contact == "mujoco"
+    assert isinstance(limited.constraints[0], rb.constraints.Soft)
 
 
 def test_a_file_without_open_questions_loads_strictly() -> None:
@@ -81,7 +98,7 @@ def test_options_that_are_left_out(option: str, entry: str) -> None:
     text += '<freejoint/><geom size="1"/></body></worldbody></mujoco>'
     (found,) = quiet(text, contacts=True).dropped
     assert found.startswith(entry)
-    assert not [x for x in quiet(text).dropped if x.startswith(entry)]
+    assert not [x for x in quiet(text, contacts=False).dropped if x.startswith(entry)]
 
 
 def two_balls() -> mujoco.MjModel:
@@ -106,8 +123,7 @@ def test_geoms_that_are_wrong(field: str, index: tuple, value: float, message: s
     getattr(m, field)[index] = value
     with pytest.raises(rb.ModelError, match=message):
         quiet(m, contacts=True)
-    m.geom_contype[:] = m.geom_conaffinity[:] = 0
-    quiet(m)
+    quiet(m, contacts=False)
 
 
 def test_references_of_mixed_signs() -> None:
@@ -123,6 +139,39 @@ def test_references_of_mixed_signs() -> None:
         rb.load(m, contacts=True, strict=True)
 
 
+ROPES = """<mujoco><worldbody><body><joint name="a" range="0 1" frictionloss="1"/>
+  <geom size=".1"/><body pos="1 0 0"><joint name="b"/><geom size=".1"/></body></body></worldbody>
+  <tendon><fixed name="belt" range="-1 1" frictionloss="2"><joint joint="a" coef="1"/>
+  <joint joint="b" coef="2"/></fixed></tendon>
+  <equality><joint name="gear" joint1="a" joint2="b"/></equality></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ("jnt_margin", "joint 'a': margin has nan"),
+        ("dof_solimp", "joint 'a': solimp of the friction has nan"),
+        ("tendon_margin", "tendon 'belt': margin has nan"),
+        ("tendon_solref_fri", "tendon 'belt': solref_fri has nan"),
+        ("eq_solref", "equality 'gear': solref has nan"),
+    ],
+)
+def test_rows_that_are_wrong(field: str, message: str) -> None:
+    m = mujoco.MjModel.from_xml_string(ROPES)
+    getattr(m, field)[0] = np.nan
+    with pytest.raises(rb.ModelError, match=message):
+        quiet(m, contacts=True)
+
+
+def test_mixed_signs_of_tendons_and_equalities() -> None:
+    m = mujoco.MjModel.from_xml_string(ROPES)
+    m.tendon_solref_lim[0] = m.tendon_solref_fri[0] = m.eq_solref[0] = [0.02, -1.0]
+    message = r"tendon limits \(belt\); tendon friction loss \(belt\); equalities \(gear\)"
+    with pytest.warns(UserWarning, match=message):
+        model = rb.load(m, contacts=True)
+    assert model.constraints[0].solref.tolist() == [0.02, 1.0]
+
+
 def test_collision_shapes_of_a_urdf() -> None:
     shape = "<collision><geometry><{}/></geometry></collision></link>"
     text = urdf(link("base"), link("arm"), joint("turn", "base", "arm", "continuous"))
@@ -131,7 +180,7 @@ def test_collision_shapes_of_a_urdf() -> None:
         text = text[:at] + shape.format(kind) + text[at + len("</link>") :]
     found = quiet(text, contacts=True).dropped
     assert [x for x in found if x.startswith("coll")] == ["collision meshes of links (arm)"]
-    found = quiet(text).dropped
+    found = quiet(text, contacts=False).dropped
     assert [x for x in found if x.startswith("coll")] == ["collision shapes of links (base, arm)"]
 
 

@@ -15,11 +15,13 @@ TWO = """<robot name="two">
     <limit lower="-1" upper="1" effort="3" velocity="1"/></joint>
   <joint name="reach" type="prismatic"><parent link="arm"/><child link="hand"/><axis xyz="1 0 0"/>
     <limit lower="0" upper="1" effort="9" velocity="1"/></joint>
-</robot>""".format(links="".join(
-    f'<link name="{name}"><inertial><mass value="1"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    for name in ("arm", "hand")
-))
+</robot>""".format(
+    links="".join(
+        f'<link name="{name}"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for name in ("arm", "hand")
+    )
+)
 
 
 @pytest.mark.filterwarnings("ignore:.*joint limits")
@@ -55,7 +57,7 @@ DRIVES = {
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_joint_that_any_actuator_drives_gets_no_second_motor(drive):
     text = (
-        f'<mujoco><worldbody>{ONE.format("j", ONE.format("k", ""))}</worldbody><tendon>'
+        f"<mujoco><worldbody>{ONE.format('j', ONE.format('k', ''))}</worldbody><tendon>"
         '<fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
         f"<actuator>{DRIVES[drive]}</actuator></mujoco>"
     )
@@ -69,7 +71,7 @@ def test_followers_get_none_and_names_stay_unique():
     apart = load_quietly(follows, motors=True, constraints=False)
     assert apart.actuator_names == ("shoulder", "reach")
     taken = (
-        f'<mujoco><worldbody>{ONE.format("j", ONE.format("k", ""))}</worldbody>'
+        f"<mujoco><worldbody>{ONE.format('j', ONE.format('k', ''))}</worldbody>"
         '<actuator><motor name="k" joint="j"/></actuator></mujoco>'
     )
     assert load_quietly(taken, motors=True).actuator_names == ("k", "k_motor")

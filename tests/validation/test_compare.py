@@ -6,6 +6,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.validation import compare
+from rbjax.validation.contacts import with_contacts
 from rbjax.validation.reference import smooth
 from rbjax.validation.report import COLUMNS, Error, Report, Row, relative
 
@@ -70,8 +71,40 @@ def test_a_wrong_answer_is_out_of_tolerance() -> None:
     assert relative(np.array([[2.0]]), np.array([[1.0]])).worst == 1.0
 
 
+DROP = """<mujoco><option timestep="0.002" cone="elliptic" integrator="implicitfast"/>
+<worldbody><geom name="floor" type="plane" size="0 0 1"/>
+  <body name="box" pos="0 0 .22"><freejoint/><geom name="box" type="box" size=".1 .1 .1"/>
+    <body pos="0 0 .2"><joint name="j" axis="0 1 0" range="-5 5" limited="true" frictionloss=".1"/>
+      <geom name="egg" type="ellipsoid" size=".03 .04 .1" pos="0 0 .05"/></body></body>
+  <body pos="0 .5 .21"><freejoint/><geom name="cube" type="box" size=".1 .1 .2"/></body>
+</worldbody></mujoco>"""
+
+
+def test_contacts_beside_mujoco() -> None:
+    """A robot drops and rests; the table has the forces, and the solver's steps are reported."""
+    report = compare(DROP, states=6, seconds=0.6, contacts=True)
+    names = "contacts", "forward dynamics", "constraint forces", "contact forces", "one step"
+    assert tuple(row.quantity for row in report.rows) == names
+    assert report.ok and report.columns == COLUMNS[:2]
+    assert all(row.errors["rbjax f64"].worst < 1e-11 for row in report.rows)
+    assert report.row("contacts").errors["rbjax f64"].worst == 0
+    assert "Newton steps or fewer in f64" in report.notes[0]
+    assert "0 of 6 have contacts" not in report.notes[0]
+
+
+def test_pairs_without_a_closed_form_are_off_in_both_engines() -> None:
+    m, model, off = with_contacts(DROP)
+    assert any("contact pairs of" in word and "ellipsoid" in word for word in off)
+    egg = m.geom("egg").id
+    assert not m.geom_contype[egg] and not any(egg in pair for pair in model.geoms.pairs)
+    assert m.opt.tolerance == 0 and model.contact == "mujoco"
+
+
 def test_bad_input() -> None:
     with pytest.raises(rb.InputError, match="states is 0"):
         compare("pendulum", states=0)
-    with pytest.raises(rb.InputError, match="no joints"):
-        compare("<mujoco><worldbody/></mujoco>")
+    for contacts in (False, True):
+        with pytest.raises(rb.InputError, match="no joints"):
+            compare("<mujoco><worldbody/></mujoco>", contacts=contacts)
+    with pytest.raises(rb.InputError, match="contacts is 1, expected True or False"):
+        compare("pendulum", contacts=1)

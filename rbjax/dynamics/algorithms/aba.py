@@ -177,14 +177,18 @@ def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
     return d.inward(inward, Force.zero(), d.zip(factors, tau))
 
 
-def accelerated(d: Driver, left: Any) -> Any:
-    """Run the outward sweep of `solve`: joint accelerations from (factor, u) per link."""
+def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
+    """Run the outward sweep of `solve`: joint accelerations from (factor, u) per link.
+
+    twists: whether to return the spatial accelerations of the links too, in their own axes.
+    """
 
     def outward(x, a_parent):
         factor, u = x
         a = factor.X(a_parent)
         qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
-        return a + factor.S * qdd, qdd
+        a = a + factor.S * qdd
+        return a, (qdd, a) if twists else qdd
 
     return d.outward(outward, Motion.zero(), left)
 

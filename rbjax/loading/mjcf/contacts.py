@@ -10,9 +10,11 @@ import numpy as np
 
 from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.errors import ModelError, listed
+from rbjax.loading.mjcf.constraints import equalities_are_on, is_loaded
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.mjcf.solver_parameters import solver_parameters
+from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons
 
 _SHOWN = 4  # names listed before "and N more"
 #: kind of a geom -> the number of entries of its size that must be positive
@@ -75,7 +77,8 @@ def check_geoms(m: mujoco.MjModel) -> None:
         if not (sizes > 0).all():
             raise ModelError(
                 f"geom {names[i]!r}: the size of the {kinds[i]} is {sizes.tolist()}, expected "
-                "numbers above zero; correct it, or give the geom contype='0' conaffinity='0'"
+                "numbers above zero; correct it, give the geom contype='0' conaffinity='0', "
+                "or load(contacts=False)"
             )
         for field in ("friction", "solref", "solimp", "margin", "gap", "solmix", "size"):
             _check_finite(f"geom {names[i]!r}", field, getattr(m, f"geom_{field}")[i])
@@ -83,6 +86,39 @@ def check_geoms(m: mujoco.MjModel) -> None:
         for field in ("friction", "solref", "solreffriction", "solimp", "margin", "gap"):
             where = f"contact pair of {names[a]!r} and {names[b]!r}"
             _check_finite(where, field, getattr(m, f"pair_{field}")[k])
+
+
+def check_rows(m: mujoco.MjModel) -> None:
+    """Raise ModelError if a parameter of a limit, friction loss or equality is not finite."""
+    joint, tendon = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON
+    joints, tendons = names_of(m, joint, m.njnt), names_of(m, tendon, m.ntendon)
+    solver = solver_parameters(m, np.asarray)
+    for j in solver.limited:
+        for field in ("solref", "solimp", "margin"):
+            _check_finite(f"joint {joints[j]!r}", field, getattr(m, f"jnt_{field}")[j])
+    for i in solver.rubbing:
+        for field in ("frictionloss", "solref", "solimp"):
+            where = f"joint {joints[m.dof_jntid[i]]!r}"
+            _check_finite(where, f"{field} of the friction", getattr(m, f"dof_{field}")[i])
+    for mask, fields in (
+        (limited_tendons(m), ("range", "margin", "solref_lim", "solimp_lim")),
+        (rubbing_tendons(m), ("frictionloss", "solref_fri", "solimp_fri")),
+    ):
+        for i in np.flatnonzero(mask).tolist():
+            for field in fields:
+                _check_finite(f"tendon {tendons[i]!r}", field, getattr(m, f"tendon_{field}")[i])
+    for name, i in _equalities(m):
+        for field in ("solref", "solimp"):
+            _check_finite(f"equality {name!r}", field, getattr(m, f"eq_{field}")[i])
+
+
+def _equalities(m: mujoco.MjModel) -> list[tuple[str, int]]:
+    """Return names and indices of the equalities that are loaded."""
+    if not equalities_are_on(m):
+        return []
+    names = names_of(m, mujoco.mjtObj.mjOBJ_EQUALITY, m.neq)
+    active = np.flatnonzero(m.eq_active0).tolist()
+    return [(names[i], i) for i in active if is_loaded(m, i)]
 
 
 def _check_finite(where: str, field: str, values: np.ndarray) -> None:
@@ -95,12 +131,14 @@ def _check_finite(where: str, field: str, values: np.ndarray) -> None:
 
 
 def mixed_references(m: mujoco.MjModel) -> tuple[str, ...]:
-    """List the geoms, contact pairs, joints and dofs whose solref has mixed signs."""
-    geoms, joints = (
+    """List the geoms, contact pairs, joints, dofs, tendons and equalities whose solref has mixed
+    signs."""
+    geoms, joints, tendons = (
         names_of(m, kind, count)
         for kind, count in (
             (mujoco.mjtObj.mjOBJ_GEOM, m.ngeom),
             (mujoco.mjtObj.mjOBJ_JOINT, m.njnt),
+            (mujoco.mjtObj.mjOBJ_TENDON, m.ntendon),
         )
     )
     pairs = contact_pairs(m)
@@ -117,6 +155,12 @@ def mixed_references(m: mujoco.MjModel) -> tuple[str, ...]:
             yield "joint limits", joints[j], m.jnt_solref[j]
         for i in solver.rubbing:
             yield "joint friction loss", joints[m.dof_jntid[i]], m.dof_solref[i]
+        for i in np.flatnonzero(limited_tendons(m)).tolist():
+            yield "tendon limits", tendons[i], m.tendon_solref_lim[i]
+        for i in np.flatnonzero(rubbing_tendons(m)).tolist():
+            yield "tendon friction loss", tendons[i], m.tendon_solref_fri[i]
+        for name, i in _equalities(m):
+            yield "equalities", name, m.eq_solref[i]
 
     found: dict[str, list[str]] = {}
     for what, name, (first, second) in rows():

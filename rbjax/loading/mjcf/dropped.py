@@ -25,8 +25,8 @@ MESHES = "collision meshes"
 #: prefix of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
-    "joint limits": "load(limits=True) loads them",
-    "joint friction loss": "load(friction=True) loads it",
+    "joint limits": "load(contacts=True) or load(limits=True) takes them",
+    "joint friction loss": "load(contacts=True) or load(friction=True) takes it",
     "tendon limits": "load(contacts=True) takes them",
     "tendon friction loss": "load(contacts=True) takes it",
     "equality constraints (": "load(constraints=True) loads them",

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from rbjax.model.solver_parameters import SOLREF
+
 #: flags by which a file disables features
 Off = mujoco.mjtDisableBit
 #: quaternion of no rotation
@@ -154,7 +156,10 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
 
 
 def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:
-    """Return solref with a time constant of two time steps or more, unless refsafe is off."""
+    """Return solref with a time constant of two time steps or more, unless refsafe is off. Mixed
+    signs stand for MuJoCo's default."""
+    if (solref[0] > 0) != (solref[1] > 0):
+        solref = np.array(SOLREF)
     if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
         return np.array([max(solref[0], 2 * m.opt.timestep), solref[1]])
     return solref

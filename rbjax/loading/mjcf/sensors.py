@@ -21,6 +21,8 @@ from rbjax.loading.mjcf.fields import (
 )
 from rbjax.model import Frame
 from rbjax.sensors import NamedSensor, Volume
+from rbjax.sensors.contacts import DATA as CONTACT_DATA
+from rbjax.sensors.contacts import REDUCTIONS
 from rbjax.sensors.rangefinder import DATA
 from rbjax.sensors.rays import INTERSECTIONS
 
@@ -186,6 +188,31 @@ def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple:
     return _tendon(m, i)
 
 
+def _contact(m: mujoco.MjModel, i: int) -> tuple:
+    spec, reduce, num = m.sensor_intprm[i, :3].tolist()
+    parts, volume = [], sensors.Volume("sphere", (0.005,))
+    for kind, which in (
+        (m.sensor_objtype[i], m.sensor_objid[i]), (m.sensor_reftype[i], m.sensor_refid[i])
+    ):  # fmt: skip
+        kind, which = int(kind), int(which)
+        if kind == _OBJECT.UNKNOWN or which < 0:
+            parts.append(None)
+            continue
+        if kind == _OBJECT.SITE:
+            volume = _volume_of(m, which)
+        named = _name(m, kind, which)
+        word = _PARTS[kind]
+        parts.append(f"{word}:{named}" if isinstance(named, str) else (word, named))
+    data = tuple(part for k, part in enumerate(CONTACT_DATA) if spec >> k & 1)
+    return *parts, data, REDUCTIONS[reduce], num, volume
+
+
+#: object of a contact sensor -> kind of part
+_PARTS = {
+    _OBJECT.GEOM: "geom", _OBJECT.BODY: "body", _OBJECT.XBODY: "subtree", _OBJECT.SITE: "site"
+}  # fmt: skip
+
+
 def _nothing(m: mujoco.MjModel, i: int) -> tuple[()]:
     return ()
 
@@ -218,6 +245,8 @@ _READERS: dict[str, tuple[Callable, Reader]] = {
     "jointlimitfrc": (sensors.JointLimitForce, _joint_limit),
     "tendonlimitpos": (sensors.TendonLimitPosition, _tendon),
     "tendonlimitvel": (sensors.TendonLimitVelocity, _tendon),
+    "tendonlimitfrc": (sensors.TendonLimitForce, _tendon),
+    "contact": (sensors.ContactSensor, _contact),
     "framepos": (sensors.Position, _relative),
     "framequat": (sensors.Attitude, _relative),
     "framexaxis": (sensors.FrameXAxis, _relative),

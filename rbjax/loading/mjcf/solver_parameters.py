@@ -28,13 +28,20 @@ INTEGRATORS = {
 _CONES = {int(mujoco.mjtCone.mjCONE_PYRAMIDAL): "pyramidal"}
 
 
-def solver_parameters(m: mujoco.MjModel, array: Callable) -> SolverParameters:
-    """Read the parameters of limits and friction loss. array: function that makes a leaf."""
+def solver_parameters(
+    m: mujoco.MjModel, array: Callable, *, limits: bool = True, friction: bool = True
+) -> SolverParameters:
+    """Read the parameters of limits and friction loss.
+
+    Args:
+        array: function that makes a leaf.
+        limits, friction: whether joint limits and friction loss are rows of the contact problem.
+    """
     solved = is_on(m, Off.mjDSBL_CONSTRAINT)
     limited = m.jnt_limited.astype(bool) & ~inverted_limits(m)
     rubbing = m.dof_frictionloss > 0
-    limited &= solved and is_on(m, Off.mjDSBL_LIMIT)
-    rubbing &= solved and is_on(m, Off.mjDSBL_FRICTIONLOSS)
+    limited &= limits and solved and is_on(m, Off.mjDSBL_LIMIT)
+    rubbing &= friction and solved and is_on(m, Off.mjDSBL_FRICTIONLOSS)
     return SolverParameters(
         impratio=array(m.opt.impratio),
         limit_solref=array(m.jnt_solref),

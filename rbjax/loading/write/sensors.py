@@ -18,10 +18,11 @@ from rbjax import sensors
 from rbjax.forces import Place
 from rbjax.loading.mjcf.sensors import CLASSES
 from rbjax.loading.write.draft import Draft, text, unique
-from rbjax.model import WORLD
+from rbjax.model import WORLD, Frame
 from rbjax.model.leaves import frame_transform
 from rbjax.sensors.actuators import ActuatorSensor, TendonSensor
 from rbjax.sensors.bodies import SubtreeSensor
+from rbjax.sensors.contacts import part_of
 from rbjax.sensors.fixed import FrameSensor, named_frame
 from rbjax.sensors.joints import JointLimitSensor, OneJointSensor
 
@@ -93,14 +94,38 @@ def _magnetometer(draft: Draft, sensor: Any) -> dict[str, str] | None:
 
 
 def _volume(draft: Draft, sensor: Any) -> dict[str, str] | None:
-    name = _site(draft, sensor.frame)
-    shape = {"type": sensor.volume.kind, "size": text(np.array(sensor.volume.size))}
+    site = _site_of_volume(draft, sensor.frame, sensor.volume)
+    inside = isinstance(sensor, sensors.InsideSite)
+    return site and site | (_frame(draft, sensor.other) if inside else {})
+
+
+def _site_of_volume(draft: Draft, frame: Any, volume: sensors.Volume) -> dict[str, str] | None:
+    """Write the shape of a site, unless it has another one. Return the attribute of the site."""
+    name = _site(draft, frame)
+    shape = {"type": volume.kind, "size": text(np.array(volume.size))}
     element = next(x for x in draft.world.iter("site") if x.get("name") == name)
     if any(element.get(key, x) != x for key, x in shape.items()):
         return None
     element.attrib |= shape
-    inside = isinstance(sensor, sensors.InsideSite)
-    return {"site": name} | (_frame(draft, sensor.other) if inside else {})
+    return {"site": name}
+
+
+def _contact(draft: Draft, sensor: Any) -> dict[str, str] | None:
+    out = {"data": " ".join(sensor.data), "reduce": sensor.reduce, "num": str(sensor.num)}
+    for number, given in (("1", sensor.first), ("2", sensor.second)):
+        kind, index = part_of(draft.model, given)
+        if kind == "site":
+            site = _site_of_volume(draft, Frame(site=index), sensor.volume)
+            if site is None:
+                return None
+            out |= site
+        elif kind == "geom":
+            if index not in draft.geoms:
+                return None
+            out["geom" + number] = draft.geoms[index].get("name", "")
+        elif kind:
+            out[kind + number] = _body(draft, index)
+    return out
 
 
 def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
@@ -160,6 +185,7 @@ _WRITERS: list[tuple[Any, Writer]] = [
     ((sensors.Touch, sensors.InsideSite), _volume),
     ((sensors.Gyro, sensors.Velocimeter, sensors.Accelerometer), _at_site),
     ((sensors.ForceSensor, sensors.TorqueSensor), _at_site),
+    (sensors.ContactSensor, _contact),
     (FrameSensor, _relative),
     (OneJointSensor, _joint),
     (ActuatorSensor, _actuator),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -154,7 +156,7 @@ def test_all_rows_are_loaded() -> None:
     model = rb.load(m, contacts=True)
     assert not [x for x in model.dropped if "tendon" in x or "equality" in x]
     assert [type(x) for x in model.constraints] == [rb.constraints.Soft] * 2
-    assert any("tendon limits" in x for x in rb.load(m).dropped)
+    assert any("tendon limits" in x for x in rb.load(m, contacts=False).dropped)
 
 
 def test_rigid_constraints_are_named() -> None:
@@ -170,7 +172,8 @@ def test_mimics_are_soft() -> None:
     """A mimic of a URDF is MuJoCo's joint equality with default parameters."""
     link = '<inertial><mass value="1"/><origin xyz=".2 0 0"/><inertia ixx=".1" iyy=".1" izz=".1" ' \
            'ixy="0" ixz="0" iyz="0"/></inertial>'  # fmt: skip
-    joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>' \
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>' \
+            '<limit lower="-3" upper="3" effort="9" velocity="9"/>' \
             '<origin xyz=".4 0 0"/><axis xyz="0 1 0"/>{3}</joint>'  # fmt: skip
     text = "<robot name='r'>" + "".join(f'<link name="{x}">{link}</link>' for x in "xyz")
     text += joint.format("j", "x", "y", "")
@@ -186,3 +189,76 @@ def test_mimics_are_soft() -> None:
     mujoco.mj_forward(m, d)
     found = jax.jit(lambda q, v: rb.acceleration(model, State(q, v)))(q, v)
     assert relative_error(found, d.qacc) < F64_PARITY
+
+
+def test_time_dependent_constraint() -> None:
+    """Without contacts the problem has the solution of the formulation "compliant"."""
+    bodies = """<body pos="0 0 1"><joint name="j" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".04"/></body>"""
+    m = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    model = rb.load(m, contacts=True)
+    swing = rb.constraints.Prescribed("j", lambda t: 0.3 * jnp.sin(2 * t))
+    model = model.with_constraints(rb.constraints.Soft.on(model, swing, solref=(0.05, 1.0)))
+    state = State(jnp.array([0.2]), jnp.array([0.5]))
+    run = jax.jit(lambda t: rb.acceleration(model, state, t=t))
+    free = model.replace(contact=None)
+    for t in (0.0, 0.7):
+        want = rb.acceleration(free, state, t=t, constraints="compliant")
+        assert relative_error(run(t), want) < F64_IDENTITY
+    slope = jax.jvp(run, (0.7,), (1.0,))[1]
+    assert relative_error(slope, (run(0.7 + 1e-6) - run(0.7 - 1e-6)) / 2e-6) < 10 * GRADIENT
+
+
+CASSIE = Path(__file__).parents[4] / "shared" / "data" / "cassie"  # beside the repository
+FOOT = """<geom type="capsule" size="0.02" fromto="-.0528 .0926 0 .0697 -.0102 0" contype="2"
+  conaffinity="0"/>"""
+
+
+@pytest.mark.skipif(not CASSIE.exists(), reason=f"{CASSIE} is not there")
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_cassie_on_the_ground(cone: str) -> None:
+    """Four loops, limits, springs and feet on the floor."""
+    text = (CASSIE / "cassie.xml").read_text()
+    text = text.replace("<option", f'<option cone="{cone}" tolerance="0"')
+    text = text.replace("<worldbody>", f"<worldbody>{FLOOR}", 1)
+    for side in ("left", "right"):
+        at = text.index("<joint", text.index(f'<body name="{side}-foot"'))
+        text = text[:at] + FOOT + text[at:]
+    m = mujoco.MjModel.from_xml_string(text)
+    m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
+    m.opt.timestep = 0.002
+    assert compare(m, steps=400, every=20) >= 2
+
+
+SENSORS = {
+    "loops": """<sensor><force site="pad"/><torque site="pad"/><accelerometer site="pad"/>
+      <force site="hand"/></sensor>""",
+    "arms": """<sensor><tendonlimitfrc tendon="cable"/><tendonlimitfrc tendon="belt"/>
+      <tendonlimitfrc tendon="one"/></sensor>""",
+}
+
+
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_sensors_read_the_forces_of_rows(scene: str) -> None:
+    """Force sensors see connects and welds, and limit sensors the limits of tendons."""
+    bodies, rest = SCENES[scene]
+    for name, at in (("top", "pad"), ("held", "hand")):
+        start = bodies.find(f'<body name="{name}"')
+        if start >= 0:
+            end = bodies.index("<geom", start)
+            bodies = f'{bodies[:end]}<site name="{at}"/>{bodies[end:]}'
+    text = OPTION.format(cone="elliptic") + BODIES + f"<worldbody>{FLOOR}{bodies}</worldbody>"
+    m = mujoco.MjModel.from_xml_string(f"<mujoco>{text}{rest}{SENSORS[scene]}</mujoco>")
+    m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
+    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
+    sense = jax.jit(lambda q, v: rb.sense(model, State(q, v)))
+    d.qvel[:] = 0.5
+    largest = np.zeros(m.nsensordata)
+    for _ in range(6):
+        for _ in range(40):
+            mujoco.mj_step(m, d)
+        mujoco.mj_forward(m, d)
+        found = sense(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
+        assert relative_error(found, d.sensordata, floor=1.0) < F64_PARITY
+        largest = np.maximum(largest, abs(d.sensordata))
+    assert (largest > 1e-3).sum() >= 3

@@ -1,0 +1,72 @@
+"""Sensors of the forces of limits of joints and tendons.
+
+The force of a row of the contact problem, if the dynamics is soft contact, plus the forces of
+`rbjax.forces.JointLimits`.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.contact.rows.scalar_row import LIMIT
+from rbjax.forces.context import Context, JointState
+from rbjax.forces.joints.limits import JointLimits
+from rbjax.lanes import Lane, inner
+from rbjax.sensors.actuators import TendonLimitSensor
+from rbjax.sensors.fixed import reading
+from rbjax.sensors.joints import JointLimitSensor
+from rbjax.sensors.protocol import register
+from rbjax.sensors.solution import solution_of
+
+
+@register("jointlimitfrc", placed=True)
+class JointLimitForce(JointLimitSensor):
+    """Measure the force of a joint limit, which is not negative.
+
+    It is the force of the contact solver and of `rbjax.forces.JointLimits`; zero without both.
+    """
+
+    units, clipped = ("N m", "N"), "above"
+
+    def __call__(self, context: Context) -> jax.Array:
+        joint = context.joint(self.joint)
+        total = [sum_of(context, joint, k) for k in range(len(joint.v))]
+        square = inner(total, total)
+        some = square > 0
+        force = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+        solved = _force_of_rows(context, "joint", context.model.joint(self.joint))
+        return reading(context, [force + solved])
+
+
+@register("tendonlimitfrc", placed=True)
+class TendonLimitForce(TendonLimitSensor):
+    """Measure the force of a tendon limit of the contact solver, which is not negative; zero if
+    the dynamics is not soft contact."""
+
+    of, clipped = "N", "above"
+
+    def __call__(self, context: Context) -> jax.Array:
+        own = context.model.tendon(self.tendon)
+        return reading(context, [_force_of_rows(context, "tendon", own)])
+
+
+def _force_of_rows(context: Context, part: str, index: int) -> Lane:
+    """Return the force of the limit of a joint or a tendon in the contact problem, or zero."""
+    solved = solution_of(context).solved
+    return 0.0 if solved is None else solved.force_of(LIMIT, part, index)
+
+
+def sum_of(context: Context, joint: JointState, k: int) -> Lane:
+    """Return the generalized force of all `JointLimits` on dof k of a joint."""
+
+    def compute() -> dict[int, Lane]:
+        limits = [x for x in context.model.forces if isinstance(x, JointLimits)]
+        out: dict[int, Lane] = {}
+        for element in limits:
+            for i, x in element.loads(context).tau.items():
+                out[i] = out[i] + x if i in out else x
+        return out
+
+    zero = jnp.zeros((), context.q.dtype)
+    return context.once(sum_of, compute).get(joint.start + k, zero)
