@@ -11,6 +11,8 @@
 """
 
 from rbjax.contact.compliant import CompliantContact
+from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.contact_solution import solve
 from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
 from rbjax.contact.impacts.impulses import Impulse, impulse
@@ -18,10 +20,10 @@ from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import ContactSolution
-from rbjax.contact.solve import solve
 
 __all__ = [
     "CompliantContact",
+    "ContactForces",
     "ContactSolution",
     "Contacts",
     "CoulombContact",

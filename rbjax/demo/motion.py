@@ -134,7 +134,7 @@ def motion(
         (("gallery.png", "One of each batch, drawn by rbjax with matplotlib, no GL."),),
         ("scene", "dof", "robots", "steps each", "steps a second (f32, this machine)"),
         rows,
-        note="Robots are in free flight: rbjax has no contact yet.",
+        note="Robots are in free flight; the next section has contacts.",
         code="states = rb.State(q, v)          # (256, nq), (256, nv): a leading axis is a batch\n"
         "path = rb.rollout(model, states, ctrls, 0.002)",
     )

@@ -1,6 +1,6 @@
 """The whole demo in f64, and its report.
 
-It has four sections and, in a checkout of the repository, one for each notebook.
+It has five sections and, in a checkout of the repository, one for each notebook.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import matplotlib
 
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
+from rbjax.demo.landing import landing
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section, write
@@ -29,6 +30,7 @@ from rbjax.demo.validate import validate
 #: section -> its function, and its weight in progress bars
 PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "motion": (motion, 15),
+    "landing": (landing, 12),
     "validate": (validate, 35),
     "identify": (identify, 15),
     "integrators": (integrators, 40),
@@ -39,7 +41,7 @@ if FOLDER.is_dir():
     }
 
 #: the parts that run by default, in two minutes on two cores
-SHORT = ("motion", "validate", "identify", "integrators", "forces", "joints")
+SHORT = ("motion", "landing", "validate", "identify", "integrators", "forces", "joints")
 
 _LEAD = (
     "Differentiable rigid-body dynamics in JAX. A robot file goes in. Fast, accurate and "
@@ -64,9 +66,9 @@ def demo(
         folder: for the output; created if absent.
         say: called with the name of each stage before it starts.
         done: called with a part's name and weight after it ends.
-        options: part -> keyword arguments; None skips the part. The parts are motion, validate,
-            identify, integrators, and the notebooks forces, joints, loops, wheels, planning,
-            gpu_threads and swing_up.
+        options: part -> keyword arguments; None skips the part. The parts are motion, landing,
+            validate, identify, integrators, and the notebooks forces, joints, loops, wheels,
+            planning, gpu_threads and swing_up.
         everything: also run the parts that are neither in `SHORT` nor in `options`.
 
     Returns:

@@ -10,6 +10,8 @@ Source: Pfeiffer & Glocker, *Multibody Dynamics with Unilateral Contacts*, 1996,
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,12 +19,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.geometry.detection import Contacts, contacts_at
+from rbjax.contact.impacts.impulse_equations import ImpulseProblem
 from rbjax.contact.impacts.impulses import impact, impact_problem
-from rbjax.contact.impacts.point_velocity import (
-    constrained_inverse_inertia,
-    contact_jacobian,
-    relative_velocity,
-)
+from rbjax.contact.impacts.point_velocity import relative_velocity
 from rbjax.dynamics.algorithms.manifold import retract
 from rbjax.forces.inputs import Inputs, evaluated
 from rbjax.lanes.arrays import matvec
@@ -43,10 +42,20 @@ class Mode(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """The contacts at a state: candidates, relative velocities u (n, 3), forces f (n, 3)."""
+    """The contacts at a state.
+
+    Fields:
+        contacts: the n candidates at any distance.
+        J: (n, 3, nv) Jacobian of the relative velocities.
+        problem: their impulse problem, with b = 0.
+        Y: (nv, 3 n) change of the velocity by unit impulses.
+        f: (n, 3) forces.
+    """
 
     contacts: Contacts
-    u: jax.Array
+    J: jax.Array
+    problem: ImpulseProblem
+    Y: jax.Array
     f: jax.Array
 
 
@@ -68,26 +77,29 @@ class ContactSystem(eqx.Module):
         """Return the state with unit quaternions."""
         return State(unit_quaternions(self.model.topology, y.q), y.v, y.x)
 
-    def motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
-        """Return v', x' and the contacts."""
+    @functools.cached_property
+    def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactForces]]:
+        """The function (t, y, mode) -> v', x' and the contacts. Its jit saves time of tracing: all
+        loops of a motion share one program and its derivative."""
+        return jax.jit(lambda t, y, mode: self._motion(t, y, mode))
+
+    def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
         at, t = self.unit(y), self.start + t
         inputs = evaluated("simulate_impacts", self.model, self.inputs, t, at)
         a, x = Field(self.model, self.dynamics).rates(t, at, inputs)
-        contacts = contacts_at(self.model, at.q, jnp.inf, self.pairs)
-        J = contact_jacobian(self.model, at.q, contacts)
-        W = constrained_inverse_inertia(self.model, at.q, t)
-        problem, Y = impact_problem(J, W, at.v, mode.kept, self.friction)
-        bias = jax.jvp(
+        (_, contacts), (bias, _) = jax.jvp(
             lambda s: self.slip(retract(self.model, at.q, s * at.v), at.v),
             (jnp.zeros((), at.q.dtype),), (jnp.ones((), at.q.dtype),),
-        )[1]  # fmt: skip
+        )  # fmt: skip
+        J, problem, Y = impact_problem(self.model, at.q, at.v, contacts, self.friction, t)
         free = matvec(J, a) + bias
         f = kept_forces(problem.D, free, problem.u, self.friction, mode)
-        return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, problem.u, f)
+        return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, J, problem, Y, f)
 
-    def slip(self, q: jax.Array, v: jax.Array) -> jax.Array:
+    def slip(self, q: jax.Array, v: jax.Array) -> tuple[jax.Array, Contacts]:
+        """Return the relative velocities u (n, 3), and the candidate contacts at any distance."""
         contacts = contacts_at(self.model, q, jnp.inf, self.pairs)
-        return relative_velocity(self.model, q, v, contacts)
+        return relative_velocity(self.model, q, v, contacts), contacts
 
     def guards(self, t: Any, y: State, mode: Mode) -> jax.Array:
         """Return the guards (4, n): distance of open contacts, normal force, slip, and the reserve
@@ -103,7 +115,7 @@ class ContactSystem(eqx.Module):
         return jnp.stack([
             jnp.where(~mode.kept & found.contacts.exists, found.contacts.distance, far),
             jnp.where(mode.kept, found.f[:, 0], far),
-            jnp.where(rubs & mode.slides, (found.u[:, 1:] * mode.direction).sum(-1), far),
+            jnp.where(rubs & mode.slides, (found.problem.u[:, 1:] * mode.direction).sum(-1), far),
             jnp.where(rubs & ~mode.slides, reserve, far),
         ])  # fmt: skip
 
@@ -148,8 +160,7 @@ def kept_forces(
 def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
     """Return the mode at the start, and whether a contact touches and opens there."""
     at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
-    contacts = contacts_at(system.model, at.q, jnp.inf, system.pairs)
-    u = jax.lax.stop_gradient(system.slip(at.q, at.v))
+    u, contacts = jax.lax.stop_gradient(system.slip(at.q, at.v))
     near, least = _small(at.q.dtype)
     touches = contacts.exists & (jnp.abs(contacts.distance) <= near)
     still = least * (1 + jnp.abs(u).max(initial=0.0))
@@ -177,24 +188,23 @@ def transition(
     """Return the state and the mode after an event, the contacts that closed, the residual of the
     impact and whether it succeeded."""
     at, mu = system.unit(y), system.friction
-    found = jax.lax.stop_gradient(system.motion(t, y, mode)[2])
-    guards = jax.lax.stop_gradient(system.guards_of(found, mode))
-    contacts = contacts_at(system.model, at.q, jnp.inf, system.pairs)
+    now = system.motion(t, y, mode)[2]
+    found = jax.lax.stop_gradient(now)
+    guards, contacts, u = system.guards_of(found, mode), found.contacts, found.problem.u
     near, still = _small(at.q.dtype)
     force = jnp.abs(found.f).max(initial=0.0) + jnp.finfo(at.q.dtype).tiny
-    speed = jnp.abs(found.u).max(initial=0.0)
+    speed = jnp.abs(u).max(initial=0.0)
     first = jnp.arange(guards.size).reshape(guards.shape) == jnp.argmin(guards)
 
     touches = ~mode.kept & contacts.exists & ((contacts.distance <= near) | first[0])
-    closed = touches & (found.u[:, 0] < 0)
+    closed = touches & (u[:, 0] < 0)
     active = closed | mode.kept | (touches & closed.any())
-    bounces = e * (found.u[:, 0] < -rest)
-    v, _, residual, fine = impact(
-        system.model, at.q, at.v, bounces, mu, contacts, active, law, system.start + t
-    )
+    bounces = e * (u[:, 0] < -rest)
+    problem = now.problem._replace(active=active)
+    v, _, residual, fine = impact(problem, now.Y, at.v, bounces, law)
     hit = closed.any()
     after = State(y.q, jnp.where(hit, v, y.v), y.x)
-    u = jax.lax.stop_gradient(system.slip(at.q, after.v))
+    u = matvec(found.J, jax.lax.stop_gradient(after.v))
     rests = jnp.abs(u[:, 0]) <= still * (1 + speed)
     kept = jnp.where(hit, active & (bounces == 0) & rests, mode.kept)
 

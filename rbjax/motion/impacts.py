@@ -27,7 +27,7 @@ from rbjax.dynamics.arguments import check_arrays, check_moves
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.lanes.arrays import select
-from rbjax.model import Model, State
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.contact_modes import ContactSystem, Mode, initial_mode, transition
 from rbjax.motion.field import Dynamics, dynamics_of, free_motion
 from rbjax.motion.inputs import inputs_between
@@ -165,6 +165,9 @@ def simulate_impacts(
         raise InputError(f"{where}: law is {law!r}, expected 'newton' or 'energetic'")
     if tolerance is not None:
         real_number(where, "tolerance", tolerance, "a number above zero", above=0.0)
+    model = with_constants(
+        model, dtype
+    )  # once for all phases; zeros of a constant model are static
     system = ContactSystem(model, inputs, dynamics, mu, ts[0], chosen)
     start = State(state.q, state.v, state.x)
     run = _solve if inside_jit() else _compiled

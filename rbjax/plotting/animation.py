@@ -12,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.contact import ContactForces
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import movie_files, offscreen
+from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import FADED, Stage, shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture
 from rbjax.rotations import quaternion
-from rbjax.style import INK
+from rbjax.style import INK, RED
 
 SUFFIXES = (".gif", ".mp4", ".html")
 RENDERERS = ("drawing", "mujoco")
@@ -39,6 +41,7 @@ def animate(
     camera: Camera | None = None,
     follow: bool | None = None,
     trace: str | Sequence[str] = (),
+    contacts: ContactForces | None = None,
     title: str = "",
     size: tuple[int, int] = (800, 600),
     renderer: str = "drawing",
@@ -63,6 +66,8 @@ def animate(
         camera: the line of sight. None chooses a right angle to a flat motion, or else a corner.
         follow: whether the view moves with the robot; None: only if the robot moves far.
         trace: one body or several, whose origins leave a line.
+        contacts: contact forces at the times of the trajectory, drawn as arrows, as
+            `jax.vmap(lambda q, v: rb.contact.solve(model, rb.State(q, v)).contacts)` returns.
         title: text at the top.
         size: width and height in pixels (of .gif and .mp4).
         renderer: "drawing", or "mujoco" to render `source` by MuJoCo. That requires OpenGL (EGL or
@@ -91,6 +96,7 @@ def animate(
     ts, q = frames(model, trajectory, fps, speed, samples)
     shapes = shapes_of(model, source, floating_base)
     shown = film(model, ts, q, shapes, camera=camera, follow=follow, trace=trace)
+    shown = with_arrows("animate", shown, model, contacts, np.asarray(trajectory.ts, float))
     if path.suffix == ".html":
         _write_page(path, shown, title, fps=fps, speed=speed)
         return path
@@ -183,9 +189,11 @@ def _write_page(path: Path, film: Film, title: str, *, fps: float, speed: float)
         "centre": _packed(film.centre),
         "paths": [_packed(p) for p in film.paths],
         "strong": film.strong,
+        "pushes": 0 if film.arrows is None else film.arrows.shape[1],
+        "arrows": "" if film.arrows is None else _packed(film.arrows),
     }
     text = resources.files("rbjax.plotting").joinpath("page.html").read_text()
-    text = text.replace("__TITLE__", html.escape(title or "rbjax"))
+    text = text.replace("__TITLE__", html.escape(title or "rbjax")).replace("__FORCE__", RED)
     path.write_text(text.replace("__DATA__", json.dumps(data)))
 
 

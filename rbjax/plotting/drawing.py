@@ -18,14 +18,16 @@ from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull, QhullError
 
 from rbjax.arguments import real_array
+from rbjax.contact import ContactForces
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.plotting.arguments import check_axis, check_solids, configurations
+from rbjax.plotting.contact_arrows import strokes, with_arrows
 from rbjax.plotting.film import Camera, Film, film, poses
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.style import BLUE, GRID, ORANGE
+from rbjax.style import BLUE, GRID, ORANGE, RED
 
 Array = np.ndarray
 _GROUND = "#f4f6f8"
@@ -139,8 +141,10 @@ class Stage:
         self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
         first = [(*to_rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
         self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
+        self.forces = LineCollection([], colors=RED, linewidths=1.8, zorder=4)
+        self.points = ax.scatter([], [], s=14, color=RED, zorder=5, linewidths=0)
         self.solids = PolyCollection([], linewidths=0.8, zorder=2, joinstyle="round")
-        for collection in (self.disc, self.grid, self.shadow, self.paths, self.solids):
+        for collection in (self.disc, self.grid, self.shadow, self.paths, self.forces, self.solids):
             ax.add_collection(collection, autolim=False)
         ax.axis("off")
         ax.set_aspect("equal", adjustable="datalim")
@@ -162,6 +166,10 @@ class Stage:
             shadows(f.shapes, f.R[0, frame], f.p[0, frame], f.camera, floor=f.floor)
         )
         self.paths.set_segments([path[: frame + 1] @ axes.T for path in f.paths])
+        if f.arrows is not None:
+            own = f.arrows[frame]
+            self.forces.set_segments(strokes(own, axes, 0.04 * f.size.max()))
+            self.points.set_offsets(own[~np.isnan(own[:, 0, 0]), 0] @ axes.T)
         shown = []
         for sample in reversed(range(len(f.R))):  # the first sample is in front
             style: Any = {"alpha": 1.0 if sample == 0 else FADED, "world": sample == 0}
@@ -218,8 +226,9 @@ def draw(
     *,
     source: Any = None,
     camera: Camera | None = None,
+    contacts: ContactForces | None = None,
 ) -> Axes:
-    """Draw one posture of a robot, with the ground.
+    """Draw one posture of a robot, with the ground, and the forces of its contacts.
 
     Args:
         model: one robot.
@@ -228,6 +237,8 @@ def draw(
         source: the argument of `rbjax.load`, to draw the file's geoms. None draws rods from joint
             to joint and ellipsoids of inertia.
         camera: the line of sight; None chooses one.
+        contacts: contact forces to draw as arrows, as `rb.contact.solve(...).contacts`. An arrow of
+            the robot's weight has a third of the height of the picture.
 
     Returns:
         The axis. `ax.figure.savefig(path)` writes it to a file.
@@ -254,7 +265,8 @@ def draw(
 
         ax = plt.subplots(figsize=(6, 5), layout="constrained")[1]
     shapes = shapes_of(model, source)
-    Stage(ax, film(model, np.zeros(1), q[None, None], shapes, camera=camera)).show(0)
+    shown = film(model, np.zeros(1), q[None, None], shapes, camera=camera)
+    Stage(ax, with_arrows("draw", shown, model, contacts)).show(0)
     return ax
 
 

@@ -79,6 +79,7 @@ class Film:
         size: (2,), the least width and height of the picture.
         paths: (n, F, 3), positions of bodies whose paths are drawn.
         strong: (n,), whether each path is of the first sample.
+        arrows: (F, n, 2, 3), start and end of the arrows of contact forces; nan for none.
     """
 
     ts: Array
@@ -91,6 +92,7 @@ class Film:
     size: Array
     paths: Array
     strong: tuple[bool, ...] = ()
+    arrows: Array | None = None
 
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.contact.solve import solve
+from rbjax.contact.contact_solution import solve
 from rbjax.loading import compile_model, load
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.contacts import closed_pairs

@@ -1,42 +1,15 @@
-"""Candidates of pairs of geoms and the lower bound of their distance."""
+"""Candidates of pairs of geoms."""
 
 from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import mujoco
-import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.geometry.candidates import PairKind, candidates, cheap_distance, pair_contacts
+from rbjax.contact.geometry.candidates import PairKind, pair_contacts, pairs_of_candidates
 from rbjax.contact.geometry.narrow_phase import COUNTS, KINDS
-from tests.contact.test_narrow_phase import PRIMITIVES, as_shape, poses, scene
-
-
-@pytest.mark.parametrize("kinds", PRIMITIVES, ids="-".join)
-def test_the_bound_is_below_the_distance(kinds) -> None:
-    """The distance is MuJoCo's, and the least one of our candidates."""
-    m = scene(*kinds)
-    d = mujoco.MjData(m)
-    kind, fromto = PairKind(*kinds), np.zeros(6)
-    given, true = [], []
-    for q in 2.0 * poses(m, np.random.default_rng(3), 100):
-        d.qpos[:] = q
-        mujoco.mj_kinematics(m, d)
-        given.append((d.geom_xpos.copy(), d.geom_xmat.reshape(-1, 3, 3).copy()))
-        true.append(mujoco.mj_geomDistance(m, d, 0, 1, 10.0, fromto))
-    p, R = (jnp.asarray(np.stack(x)) for x in zip(*given, strict=True))
-    sizes = jnp.asarray(m.geom_size)
-
-    @jax.vmap
-    def bound(p, R):
-        one, other = (as_shape(p[k], R[k], sizes[k]) for k in (0, 1))
-        return cheap_distance(kind, one, other)
-
-    found = np.asarray(bound(p, R))
-    assert (found <= np.array(true) + 1e-5).all()
-    assert (found > 0).mean() > 0.2  # it does reject pairs
+from tests.contact.test_narrow_phase import PRIMITIVES, as_shape
 
 
 @pytest.mark.filterwarnings("ignore:.*left out of the model.*contacts")
@@ -46,12 +19,11 @@ def test_candidates_are_the_columns_of_detect() -> None:
       <body pos="0 0 1"><freejoint/><geom type="capsule" size=".1 .1"/></body>
     </worldbody></mujoco>"""
     model = rb.load(text)
-    found = candidates(model.geoms, model.geoms.pairs)
-    geoms = [model.geoms.pairs[x.pair] for x in found]
-    assert tuple(geoms) == rb.contact.detect(model, model.default_state().q).geoms
-    assert [x.bodies for x in found[:8]] == [(-1, 0)] * 8
-    assert [x.slot for x in found] == [*range(8), 0, 1, 0, 1]
-    assert candidates(model.geoms, ()) == ()
+    found = pairs_of_candidates(model.geoms, model.geoms.pairs)
+    assert found == [0] * 8 + [1] * 2 + [2] * 2
+    geoms = tuple(model.geoms.pairs[i] for i in found)
+    assert geoms == rb.contact.detect(model, model.default_state().q).geoms
+    assert pairs_of_candidates(model.geoms, ()) == []
 
 
 def test_the_narrow_phase_of_a_pair_has_its_number_of_candidates() -> None:

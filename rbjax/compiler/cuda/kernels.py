@@ -209,7 +209,7 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Print the sums of results over the samples of a block."""
+    """Print the code that sums results over the samples of a thread block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue

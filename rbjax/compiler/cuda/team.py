@@ -65,7 +65,8 @@ def fits(program: Written) -> bool:
 
 
 def _resident(bytes: int, team: int) -> int:
-    """Return the blocks that should reside on a multiprocessor, limited by its shared memory."""
+    """Return the number of blocks that should reside on a multiprocessor at once, limited by its
+    shared memory."""
     wanted = RESIDENT if team == WARP else RESIDENT_LARGE
     return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
 

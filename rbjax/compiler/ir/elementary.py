@@ -147,7 +147,7 @@ def widened(x: Number) -> Number:
 
 
 def _reduced(x: Number) -> tuple[Number, Number, Number]:
-    """Return x minus the nearest multiple n of pi / 2, its rounding error, and n."""
+    """Return the angle x reduced by the nearest multiple n of pi / 2, its rounding error, and n."""
     n = (x * (2 / math.pi)).op("rint")
     r = x - n * QUARTER[0]
     r, e = two_sum(r, -(n * QUARTER[1]))

@@ -91,7 +91,8 @@ def _has_subjaxpr(eqn: JaxprEqn) -> bool:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of equation. `moving`: inputs with tangents; `present`: results with cotangents."""
+    """The key of an equation's derivative rule. `moving`, `present`: flags of inputs with tangents
+    and of results with cotangents."""
 
     primitive: core.Primitive
     params: tuple
@@ -107,7 +108,7 @@ class Kind:
         return core.jaxpr_as_fun(close([eqn], ins, outs, {}))(*args)
 
     def merge(self, still: Sequence[jax.Array], moved: Sequence[jax.Array]) -> list[jax.Array]:
-        """Merge the inputs without and with tangents in their original order."""
+        """Merge inputs without tangents (`still`) and with (`moved`) in their original order."""
         rest, along = iter(still), iter(moved)
         return [next(along) if m else next(rest) for m in self.moving]
 

@@ -94,7 +94,7 @@ def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable
 
 
 def split_results(program: Program) -> tuple[Program, Program]:
-    """Return the programs of the first and the second half of the results."""
+    """Split a program into the programs of the first and of the second half of its results."""
     jaxpr = program.closed.jaxpr
     half = len(jaxpr.outvars) // 2
     first, second = (

@@ -142,7 +142,8 @@ class _Frame:
         return Parts(text, samples.libm, count)
 
     def begin(self, each: int, count: int) -> list[str]:
-        """Emit the sample range of `part` and its memory. Return the arrays' addresses."""
+        """Emit the range of samples of the function `part`, and the allocation of its workspace.
+        Return the addresses of the arrays. each: samples of a part. count: number of parts."""
         lines, names = self.lines, []
         for k in range(len(self.arrays)):
             place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")

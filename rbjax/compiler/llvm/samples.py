@@ -49,7 +49,7 @@ class Lines(list):
         ]
 
     def fill(self, table: str, pointers: Sequence[str]) -> None:
-        """Emit the stores of pointers into a table."""
+        """Emit the stores of pointers, one for each lane, into a table in memory."""
         for k, place in enumerate(pointers):
             slot = self.made(f"getelementptr ptr, ptr {table}, i64 {k}")
             self.append(f"store ptr {place}, ptr {slot}")

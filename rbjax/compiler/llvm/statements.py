@@ -127,7 +127,7 @@ class Writer:
         return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, ir.Array) else 1)
 
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
-        """Return the lines written so far as a function."""
+        """Return the lines written so far as the text of a function. takes: its parameters."""
         return [
             f"define internal void @{name}({', '.join(takes)}) {more}{ATTRIBUTES} {{",
             "entry:", *self.entry, "br label %start", "start:", *self.lines, "ret void", "}",

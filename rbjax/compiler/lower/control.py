@@ -144,7 +144,7 @@ class Carry:
 
 
 def _most(x: ThreadArray) -> int:
-    """Return the most entries of a carried array that a team keeps in registers."""
+    """Return the largest number of entries of a carried array that a team keeps in registers."""
     return (
         4 * arrays.FEW
         if isinstance(x, np.ndarray) and not arrays.is_constant(x)

@@ -90,5 +90,5 @@ class Delayed(Shaped):
 
 
 def _along(b: Builder, k: Value, start: int, step: int) -> Value:
-    """Emit start + k * step."""
+    """Emit the index start + k * step."""
     return b.op("index_add", I32, b.op("index_mul", I32, k, I32.type(step)), I32.type(start))

@@ -64,7 +64,8 @@ accepts_delayed("dot_general")
 
 
 def _unrolled(b: Builder, matrices: bool) -> int:
-    """Return the most terms of an unrolled product. matrices: both factors are matrices."""
+    """Return the largest number of terms of a product that is unrolled. matrices: both factors are
+    matrices."""
     if b.matrices:
         return VECTORS_UP_TO
     return MATRICES_UP_TO if matrices and b.platform == "cuda" else UNROLL_UP_TO

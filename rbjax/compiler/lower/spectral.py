@@ -27,7 +27,8 @@ MOST_SWEEPS = 20
 
 
 def _sweep(n: int, rotate: Callable, *state: jax.Array) -> Any:
-    """Run rotate(i, j, *state) for each pair i < j. i and j are Python ints if n is small."""
+    """Run rotate(i, j, *state) of Jacobi's method for each pair i < j. i and j are Python ints if n
+    is small."""
     pairs = np.array([(i, j) for i in range(n) for j in range(i + 1, n)], np.int32)
     if n <= UNROLL_UP_TO:
         for i, j in pairs.tolist():

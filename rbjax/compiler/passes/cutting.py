@@ -89,7 +89,8 @@ def split_block(block: ir.Block, branches: bool) -> Cuts | None:
 def _pieces(
     statements: list[ir.Statement], sizes: list[int]
 ) -> Iterator[tuple[bool, list[ir.Statement]]]:
-    """Yield pieces of about `EACH` statements (True), and longer statements, not split (False)."""
+    """Yield (statements, flag): pieces of about `EACH` statements (True), or one longer statement
+    (False)."""
     piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):

@@ -10,7 +10,7 @@ from rbjax.compiler.ir import statements as ir
 
 
 def prune(block: ir.Block) -> None:
-    """Remove the statements that no result and no condition depends on."""
+    """Remove the statements on which no result and no condition depends."""
     _keep(block, _needed(block))
 
 

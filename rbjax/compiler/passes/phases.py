@@ -94,7 +94,7 @@ def _touched(*blocks: ir.Block) -> tuple[set[ir.Array], set[ir.Array]]:
 
 
 class _Phases:
-    """A pass that orders the statements of a block and its inner blocks, and inserts barriers."""
+    """The pass of `insert_barriers`: it orders the statements of blocks and inserts barriers."""
 
     def __init__(self, now: Pending):
         self.now = now

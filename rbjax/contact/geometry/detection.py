@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from rbjax.arguments import real_number, shown
 from rbjax.compiler import threads
 from rbjax.compiling import jitted
-from rbjax.contact.geometry.candidates import PairKind, candidates, pair_contacts
+from rbjax.contact.geometry.candidates import PairKind, pair_contacts, pairs_of_candidates
 from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
 from rbjax.contact.geometry.shapes import Shape, contact_frame, geom_shape, stack_shapes
 from rbjax.contact.parameters import pair_parameters
@@ -122,7 +122,7 @@ def contacts_at(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contact
 
 
 def _geoms_of_candidates(model: Model, pairs: Pairs) -> Pairs:
-    return tuple(pairs[candidate.pair] for candidate in candidates(model.geoms, pairs))
+    return tuple(pairs[i] for i in pairs_of_candidates(model.geoms, pairs))
 
 
 def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> tuple:

@@ -161,7 +161,8 @@ def _impulse(
     sweeps: int,
 ) -> Impulse:  # fmt: skip
     contacts = contacts_at(model, q, reach, pairs)
-    v, p, *found = impact(model, q, v, e, mu, contacts, contacts.exists, law, t, sweeps)
+    _, problem, Y = impact_problem(model, q, v, contacts, mu, t)
+    v, p, *found = impact(problem, Y, v, e, law, sweeps)
     return Impulse(v, p, contacts, *found)
 
 
@@ -169,13 +170,10 @@ _program = jax.jit(_impulse, static_argnames=("pairs", "law", "sweeps"))
 
 
 def impact(
-    model: Model, q: Any, v: Any, e: Any, mu: Any, contacts: Contacts, active: Any,
-    law: str = "newton", t: Any = 0.0, sweeps: int = 100,
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    problem: ImpulseProblem, Y: jax.Array, v: jax.Array, e: jax.Array, law: str, sweeps: int = 100
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Compute v after the impact, the impulses (n, 3), the residual and whether it succeeded."""
-    J = contact_jacobian(model, q, contacts)
-    W = constrained_inverse_inertia(model, q, t)
-    problem, Y = impact_problem(J, W, v, active, mu)
+    active, mu, dtype = problem.active, problem.mu, v.dtype
     if law == "energetic":
         closing = jnp.where(active, problem.u[:, 0], jnp.inf)
         first = jnp.argmin(closing)
@@ -186,23 +184,25 @@ def impact(
         )
         hit = closing[first] < 0
         p = jnp.where((one & hit)[:, None], own, 0)
-        residual = jnp.zeros((), q.dtype)
+        residual = jnp.zeros((), dtype)
         success = jnp.where(hit, success & ~several, True)
     else:
         b = e * jnp.maximum(-problem.u[:, 0], 0)
         p, residual = solve_impulses(problem._replace(b=b), sweeps)
         speed = jnp.abs(problem.u).max(initial=0.0)
-        success = residual <= 1e3 * jnp.finfo(q.dtype).eps * (1 + speed)
+        success = residual <= 1e3 * jnp.finfo(dtype).eps * (1 + speed)
     return v + matvec(Y, p.reshape(-1)), p, residual, success
 
 
 def impact_problem(
-    J: jax.Array, W: jax.Array, v: jax.Array, active: jax.Array, mu: jax.Array
-) -> tuple[ImpulseProblem, jax.Array]:
-    """Return the impulse problem with b = 0, and Y = W J^T (nv, 3 n)."""
-    n = len(active)
-    rows = J.reshape(3 * n, J.shape[-1])
-    Y = matmat(W, matrix_transpose(rows))
+    model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any
+) -> tuple[jax.Array, ImpulseProblem, jax.Array]:
+    """Return J (n, 3, nv), the impulse problem with b = 0 of the contacts that exist, and
+    Y = W J^T (nv, 3 n)."""
+    J = contact_jacobian(model, q, contacts)
+    n, nv = len(contacts.geoms), model.nv
+    rows = J.reshape(3 * n, nv)
+    Y = matmat(constrained_inverse_inertia(model, q, t), matrix_transpose(rows))
     D = matmat(rows, Y).reshape(n, 3, n, 3)
     u = matvec(rows, v).reshape(n, 3)
-    return ImpulseProblem(D, u, jnp.zeros(n, v.dtype), mu, active), Y
+    return J, ImpulseProblem(D, u, jnp.zeros(n, v.dtype), mu, contacts.exists), Y

@@ -27,7 +27,6 @@ from rbjax.constraints.formulation import formulation_of
 from rbjax.contact.geometry.detection import contacts_at
 from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
-from rbjax.contact.impacts.point_velocity import constrained_inverse_inertia, contact_jacobian
 from rbjax.contact.impacts.time_of_impact import end_of_slip, touchdown
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
@@ -133,10 +132,8 @@ class MoreauContact(Record):
         else:
             a = formulation(model, t, state, tau, f_ext)
         contacts = contacts_at(model, q, jnp.inf, self.pairs)
-        J = contact_jacobian(model, q, contacts)
-        W = constrained_inverse_inertia(model, q, t)
         later = v + dt * a
-        problem, Y = impact_problem(J, W, later, jnp.ones_like(contacts.exists), mu)
+        J, problem, Y = impact_problem(model, q, later, contacts, mu, t)
         normal = J[:, 0]
         events = touchdown(
             contacts.distance, matvec(normal, v), matvec(normal, a), e, rest, c, dt

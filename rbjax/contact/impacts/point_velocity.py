@@ -23,7 +23,7 @@ from rbjax.arguments import floating_array
 from rbjax.constraints import Soft
 from rbjax.constraints import jacobian as constraint_jacobian
 from rbjax.constraints.equations.constrained_motion import solve_least_norm
-from rbjax.contact.geometry.candidates import candidates
+from rbjax.contact.geometry.candidates import pairs_of_candidates
 from rbjax.contact.geometry.detection import Contacts, Pairs
 from rbjax.contact.parameters import pair_parameters
 from rbjax.dynamics import inverse_mass_matrix
@@ -83,7 +83,7 @@ def coefficients(
     x = floating_array(
         where, name, given, lambda s: s in ((), (len(pairs),)), f"() or ({len(pairs)},), a pair"
     ).astype(dtype)
-    index = [candidate.pair for candidate in candidates(model.geoms, pairs)]
+    index = pairs_of_candidates(model.geoms, pairs)
     return jnp.broadcast_to(x, (len(pairs),))[np.array(index, int)]
 
 

@@ -114,7 +114,7 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
 
 
 def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
-    """Evaluate a task and its reference at a state."""
+    """Compute pose error, twist, Jacobian and bias acceleration of a task, and its reference."""
     q, v = state.q, state.v
     desired = pose(reference, t, task.parts, q.dtype)
     R, p = frame_pose(model, q, **task.frame)

@@ -249,7 +249,7 @@ class Environment(Record):
 
 
 def squash_controls(env: Environment, y: jax.Array) -> jax.Array:
-    """Map the output of a policy to controls."""
+    """Map the unbounded output of a policy to controls, within their ranges by tanh if `squash`."""
     if not env.squash:
         return y
     low, high = jnp.asarray(env.model.actuators.ctrlrange, y.dtype).T

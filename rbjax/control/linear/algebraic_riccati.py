@@ -153,7 +153,8 @@ def riccati(
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the gain K of P, and whether the control Hessian is positive definite."""
+    """Return the feedback gain K of a solution P, and whether the control Hessian is positive
+    definite."""
     A, B, _, R, S = problem
     PB = product(P, B)
     if discrete:

@@ -66,8 +66,8 @@ def join(one: Stretch, two: Stretch) -> Stretch:
 
 
 def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
-    """Return the N steps and the end as segments, and whether all control weights R are positive
-    definite."""
+    """Return the N steps and the end as segments of the associative scan, and whether all control
+    weights R are positive definite."""
     A, B, d, Q, q, R, r, S = problem
     L, ok = jax.vmap(definite_factor)((R + matrix_transpose(R)) / 2)
 

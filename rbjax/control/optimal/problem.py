@@ -256,7 +256,7 @@ class Problem(Record):
         return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.parameters)
 
     def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
-        """Return the knot after a step, and its derivatives."""
+        """Return the knot after a step, and its derivatives A and B by knot and controls."""
         system, dt = self.at(knot.parameters)
         after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
         after = Knot(after, knot.parameters)

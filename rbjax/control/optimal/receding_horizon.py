@@ -233,7 +233,7 @@ class PredictiveController:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array:
-        """Return the largest gap of a plan, or 0 without constraints, if a gap has no effect."""
+        """Return the largest gap between the knots of a plan; 0 without constraints."""
         return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:

@@ -53,7 +53,7 @@ class Constants:
         self._hash = hash((tree, self._key))
 
     def unflatten(self) -> Any:
-        """Return the pytree."""
+        """Return the pytree whose leaves are hashed."""
         return jax.tree.unflatten(self.tree, self.leaves)
 
     def __hash__(self) -> int:
@@ -281,7 +281,8 @@ def _as_number(x: Any) -> Any:
 def _solve(
     numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
 ) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
-    """Return the result, the violation of each constraint, the times and the parameters."""
+    """Solve a problem. Return the result, the violation of each constraint, the times and the
+    parameters."""
     tree, constants, other_tree, *others = key
     parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
     if constants is not None:

@@ -136,7 +136,7 @@ def _step(p: _Problem, z: jax.Array, damping: jax.Array) -> jax.Array:
 
 
 def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Project an iterate on the paths that end at the goal, with variables within bounds."""
+    """Project an iterate z onto the paths that end at the goal, with z within [low, high]."""
 
     def end(x):
         return p.residuals(x.reshape(z.shape))[1]

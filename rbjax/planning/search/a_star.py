@@ -233,7 +233,7 @@ class _Nodes(NamedTuple):
 
 
 class _AStar(WaveSearch):
-    """A* search whose OPEN list is sorted by intervals of f."""
+    """A* search. OPEN is sorted by intervals of the priority value f = cost + lower bound."""
 
     def __init__(
         self, distances: DistanceField, footprint: Footprint, controls: Controls, ends: np.ndarray,
@@ -285,7 +285,7 @@ class _AStar(WaveSearch):
         return self.ending.rate * np.maximum(self.holonomic(x, y) - self.ending.near, 0.0)
 
     def put(self, nodes: _Nodes, f: np.ndarray) -> None:
-        """Put nodes into OPEN, in their intervals of f."""
+        """Insert nodes with the priority values f into OPEN."""
         add_to(self.open, (f / self.width).astype(int), nodes)
 
     def cheapest(self) -> tuple[_Nodes, int]:

@@ -46,7 +46,7 @@ _compiled_curves = compiled(_car_curves, options=wide_vectors, static_argnums=0)
 
 
 def price_per_metre(where: str, controls: Controls) -> float:
-    """Compute the least price of driving one metre."""
+    """Compute the least cost per metre of the controls that drive."""
     way = np.hypot(controls.speeds, controls.sideways) * controls.dt
     if not way.any():
         raise InputError(f"{where}: these controls cannot drive; add one that can")

@@ -26,7 +26,7 @@ LARGEST = {"headings": 100_000, "max_count": 2**31 - 1}
 
 
 def take(nodes: Nodes, which: Any) -> Nodes:
-    """Select nodes by indices, a mask or a slice."""
+    """Select nodes, in columns, by indices, a mask or a slice."""
     return type(nodes)(*(x[which] for x in nodes))
 
 

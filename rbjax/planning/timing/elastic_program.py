@@ -92,7 +92,8 @@ def solve(
         off = H @ p.d + c + G.T @ l - zl + zu
 
         def step(mu, ry, rs, rl, ru) -> _Point:
-            """Compute the Newton step for a barrier mu, with second-order terms ry to ru."""
+            """Compute the Newton step for a barrier parameter mu, with second-order terms ry to ru
+            of the complementarity conditions."""
             ry, rs = mu - y * l - ry, mu - s * t - rs
             rl, ru = mu - yl * zl - rl, mu - yu * zu - ru
             part = (ry - l * rs / t) / w

@@ -121,7 +121,7 @@ class Shooting(NamedTuple):
         )  # fmt: skip
 
     def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
-        """Compute the inequality constraints b of a state. due: (discs,), required clearances."""
+        """Compute the inequality constraints b of a state. due: (discs,) m, required clearances."""
         x, y, turn = self.twist(z)
         square = x * x + y * y
         speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -157,7 +157,8 @@ def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
 
 
 def _fastest(rates: jax.Array) -> jax.Array:
-    """Compute the largest absolute steering rate of each step; zero without steerings."""
+    """Compute the largest absolute steering rate of each step, per unit path speed; zero without
+    steerings."""
     return largest(jnp.abs(rates)) if rates.shape[-1] else jnp.zeros(rates.shape[:-1], rates.dtype)
 
 

@@ -57,7 +57,7 @@ class LeftOut:
     found: list[str] = field(default_factory=list)
 
     def add(self, what: str, size: float, scale: float, unit: str = "mm") -> None:
-        """Add a note if a size exceeds rounding errors."""
+        """Add a note about a feature if its size exceeds rounding errors."""
         if abs(size) > ROUNDING * scale:
             factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
             self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
@@ -226,5 +226,5 @@ def _note_unbalance(
 
 
 def _off(point: np.ndarray, anchor: np.ndarray, axis: np.ndarray) -> float:
-    """Compute the distance of a point from a line."""
+    """Compute the distance of a point from the line through an anchor along an axis."""
     return float(np.linalg.norm(np.cross(axis, point - anchor)))

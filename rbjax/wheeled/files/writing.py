@@ -270,8 +270,7 @@ def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
 
 
 def _own(x: Any) -> Any:
-    """Convert a number to a numpy scalar of its own dtype, which `text` writes with the fewest
-    digits."""
+    """Convert a number to a numpy scalar of its dtype, so that `text` writes the fewest digits."""
     return np.asarray(x)[()]
 
 

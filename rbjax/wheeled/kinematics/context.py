@@ -32,12 +32,12 @@ class RobotContext:
 
     @functools.cached_property
     def pose(self) -> Pair:
-        """The direction of the chassis, as cosine and sine."""
+        """The heading of the chassis, as its cosine and sine."""
         return fusion_barrier(direction(self.q[2]))
 
     @functools.cached_property
     def directions(self) -> list[Pair]:
-        """The directions of trailers, steerings and casters."""
+        """Cosine and sine of the angles of trailers, steerings and casters."""
         return fusion_barrier([direction(a) for a in angles_of(self)])
 
     @functools.cached_property
@@ -46,7 +46,7 @@ class RobotContext:
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
-        """Compute the origin and the direction of each body on the ground."""
+        """Compute the origin and the heading (cosine and sine) of each body on the ground."""
         n = self.n
         out = [((self.q[0], self.q[1]), self.pose)]
         for k, body in enumerate(n.bodies[1:], start=1):

@@ -54,7 +54,7 @@ class WheelParameters:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The parameters of a robot as lanes."""
+    """The parameters of a wheeled robot as lanes, part by part."""
 
     robot: Any
     dtype: Any

@@ -48,12 +48,12 @@ class Shape(NamedTuple):
 
 
 def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
-    """Compute the shape from the angles of trailers, steerings and casters."""
+    """Compute the `Shape` from the angles of trailers, steerings and casters."""
     return shape_along(n, [direction(angle) for angle in angles])
 
 
 def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
-    """Compute the shape from the directions of trailers, steerings and casters."""
+    """Compute the `Shape` from the directions of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(directions, start=3))
     trailers = tuple(of[i] for i in indices(layout.trailers))
@@ -80,7 +80,8 @@ def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
 
 
 def place_of(n: Parameters, leader: Leader) -> Pair:
-    """Compute the position of a leading wheel, or the middle of the wheels of a steering."""
+    """Compute the position of a leading wheel in its body: for a steering, the middle of its
+    wheels."""
     if leader.what == "skidding":
         return n.turn_center, 0.0
     if leader.what == "wheel":
@@ -92,7 +93,7 @@ def place_of(n: Parameters, leader: Leader) -> Pair:
 
 
 def _steered(n: Parameters, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
-    """Compute the direction of each wheel of a steering, for the steering direction e."""
+    """Compute the direction of each wheel of a steering at the steering angle with direction e."""
     if len(wheels) == 1:
         return {wheels[0]: rotate(e, n.wheels[wheels[0]].heading)}
     # Ackermann: all wheels turn about one point of the fixed axle

@@ -34,7 +34,7 @@ Lists = tuple[list[Lane], list[Lane], list[Lane]]
 
 
 class _Steps(NamedTuple):
-    """The static options of a rollout."""
+    """The options of a rollout that are compile-time constants."""
 
     integrator: str
     steps: int

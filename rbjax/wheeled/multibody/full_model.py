@@ -224,7 +224,8 @@ def _needs_inertia(what: str, x: Lane) -> None:
 
 
 def _rows(n: Parameters, base: str, steering_rates: Sequence[Lane]) -> list[Constraint]:
-    """Make the constraints of the wheels: contacts first, one for each wheel."""
+    """Make the constraints of the wheels: first one `WheelContact` for each wheel, then shafts,
+    steerings and rotors."""
     origin: Any = np.zeros(3)
     straight: Any = np.array(STRAIGHT)
     ground = Place(origin, straight)

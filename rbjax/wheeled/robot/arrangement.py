@@ -110,7 +110,8 @@ def arrange(robot: Robot) -> Arrangement:
 
 
 def _sources(robot: Robot) -> list[Leader]:
-    """Return the sources of all constraint rows of the chassis, fixed wheels first."""
+    """Return the wheels and steerings that give the constraint rows of the chassis, fixed wheels
+    first."""
     out = [
         Leader("wheel", i, _is_backward(wheel))
         for i, wheel in enumerate(robot.wheels)

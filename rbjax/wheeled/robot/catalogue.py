@@ -30,7 +30,7 @@ def _check(kind: str, **lengths: Any) -> None:
 
 
 def _disc(radius: float, mass: float) -> dict[str, Any]:
-    """Return the parameters of a wheel that is a disc."""
+    """Return radius, mass and inertia of a wheel that is a uniform disc."""
     moment = mass * radius**2
     return {"radius": radius, "mass": mass, "inertia": moment / 2, "yaw_inertia": moment / 4}
 

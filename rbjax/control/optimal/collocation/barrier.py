@@ -35,12 +35,12 @@ class Bounded(NamedTuple):
 
     @property
     def below(self) -> jax.Array:
-        """v - low, or 1 without a bound."""
+        """The distance v - low from the lower bound, or 1 without a bound."""
         return jnp.where(jnp.isfinite(self.low), self.v - self.low, 1.0)
 
     @property
     def above(self) -> jax.Array:
-        """high - v, or 1 without a bound."""
+        """The distance high - v from the upper bound, or 1 without a bound."""
         return jnp.where(jnp.isfinite(self.high), self.high - self.v, 1.0)
 
 
@@ -59,7 +59,7 @@ def bound_count(x: Bounded) -> jax.Array:
 
 
 def value(x: Bounded, mu: jax.Array) -> jax.Array:
-    """Return the barrier (); infinite outside of the bounds."""
+    """Return the logarithmic barrier () of the bounds; infinite outside of them."""
 
     def log(d: jax.Array) -> jax.Array:
         good = d > 0
@@ -69,7 +69,7 @@ def value(x: Bounded, mu: jax.Array) -> jax.Array:
 
 
 def gradient(x: Bounded, mu: jax.Array) -> jax.Array:
-    """Return the gradient of the barrier."""
+    """Return the gradient of the logarithmic barrier with respect to v."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return jnp.where(high, mu / x.above, 0.0) - jnp.where(low, mu / x.below, 0.0)
 
@@ -80,7 +80,7 @@ def hessian(x: Bounded, z: Duals) -> jax.Array:
 
 
 def first_duals(x: Bounded, mu: jax.Array) -> Duals:
-    """Return the multipliers mu over the distances to the bounds."""
+    """Return the first multipliers of the bounds: mu over the distances to them."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return Duals(jnp.where(low, mu / x.below, 0.0), jnp.where(high, mu / x.above, 0.0))
 

@@ -128,7 +128,7 @@ def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int)
 
 
 def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
-    """Run the iterations."""
+    """Iterate the interior point method until the stopping rule holds."""
     dtype = begin.mu.dtype
     eps = jnp.finfo(dtype).eps
     soft = jnp.asarray(eps**SOFT, dtype)

@@ -204,7 +204,7 @@ class Transcribed(NamedTuple):
         return path, end, gaps
 
     def gains(self, path: Condensed, end: End, gaps: jax.Array, reg: jax.Array) -> Feedback:
-        """Run the backward pass."""
+        """Compute the gains of a Newton step by the backward pass of the condensed problem."""
         problem, first = self.problem, None
         if problem.free_first_knot:
             free = jnp.asarray([*problem.free, *[True] * problem.parameter_count], gaps.dtype)

@@ -122,7 +122,7 @@ class KKTSystem:
         return self.functions.end(parameters[0], parameters[1], d, knot)
 
     def knots(self, point: PrimalDualPoint) -> tuple:
-        """Return the arguments of `path` at all knots with controls, and the last knot."""
+        """Return (k, knot, control, next knot) at all knots with controls, and the last knot."""
         ks = jnp.arange(self.problem.horizon, dtype=point.ctrl.dtype)
         body, following, last = (take(point.knots, at) for at in (BODY, NEXT, -1))
         return (ks, body, point.ctrl, following), last

@@ -66,7 +66,7 @@ class Saddle(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """The factors of the Riccati recursion."""
+    """The factors of a KKT matrix by the Riccati recursion."""
 
     K: jax.Array  # (N, m, n)
     inverse: jax.Array  # (N, m, m), of the control Hessians
@@ -77,7 +77,7 @@ class Factor(NamedTuple):
 
 
 def apply_masks(e: Saddle) -> Saddle:
-    """Return the blocks with masked rows and columns set to zero."""
+    """Return the blocks of the KKT matrix with masked rows and columns set to zero."""
     free = e.free[:, None, :]
     return e._replace(
         B=e.B * free, S=e.S * free, R=e.R * free * e.free[:, :, None],
@@ -86,7 +86,7 @@ def apply_masks(e: Saddle) -> Saddle:
 
 
 def multiply(e: Saddle, z: Unknowns) -> Unknowns:
-    """Return the matrix-vector product K z; the blocks are masked."""
+    """Return the product K z of the KKT matrix, from masked blocks, and a vector."""
     x, after, l = z.x[:-1], z.x[1:], z.l[1:]
     mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
     gx = mul(e.Q[:-1], x) + mul(e.S, z.u) + mulT(e.A, l) + mulT(e.C, z.path)

@@ -72,7 +72,7 @@ def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
 ) -> Rollout:  # fmt: skip
-    """Roll out a step of length a."""
+    """Roll out the controls u + a k + K dx, and sum cost, violation and gaps along the motion."""
     first = take(knots, 0)
     now = problem.plus(first, a * gains.first)
     mu = multipliers.penalty

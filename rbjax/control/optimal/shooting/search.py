@@ -311,7 +311,7 @@ def iterate(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
     options: Options, history: int, exact: bool,
 ) -> Iterate:  # fmt: skip
-    """Run the iterations from states and controls."""
+    """Iterate from the knots and controls of the first guess until the stopping rule holds."""
     constrained = bool(problem.constraints)
     decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
 

@@ -51,7 +51,8 @@ class Unknowns(NamedTuple):
 
 
 class Shooting(NamedTuple):
-    """A problem and the first knot of the guess."""
+    """A problem and the first knot of the guess. The unknowns are the controls, the parameters and
+    the free coordinates of the first state."""
 
     problem: Problem
     first: Knot
