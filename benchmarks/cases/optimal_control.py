@@ -92,9 +92,7 @@ def quadrotor(bounded: bool) -> Case:
     start = model.default_state()
     if bounded:
         answer = given("quadrotor_pose_bounded")
-        return Case(
-            problem, start, (answer["world"]["cost"],), answer["se3"]["boxfddp_iterations"]
-        )
+        return Case(problem, start, (answer["world"]["cost"],), answer["se3"]["boxfddp_iterations"])
     return Case(problem, start, (case["world"]["cost"],), case["se3"]["fddp_iterations"])
 
 

@@ -1,6 +1,6 @@
 """One call of forward dynamics: jitted JAX, `rb.compile` and MuJoCo C's `mj_forward`, in one run.
 
-    python -m benchmarks.cpu.one_call
+python -m benchmarks.cpu.one_call
 """
 
 import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)

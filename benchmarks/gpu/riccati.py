@@ -139,9 +139,7 @@ def main() -> None:
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     methods = [x for x in METHODS if given.tree or not x.endswith("tree")]
-    rows = run(
-        tuple(given.horizons), list(given.batches), given.precision, methods, given.seconds
-    )
+    rows = run(tuple(given.horizons), list(given.batches), given.precision, methods, given.seconds)
     print(markdown_table(rows, COLUMNS))
     said = crossings(rows)
     print("\n".join(said))

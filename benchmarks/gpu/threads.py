@@ -41,9 +41,7 @@ class Case:
 
     def final(self, model: rb.Model, q: Any, v: Any, ctrls: Any, steps: int = STEPS) -> Any:
         """The last state of a rollout."""
-        out = rb.rollout(
-            model, rb.State(q, v), ctrls, steps=steps, save_every=steps
-        )
+        out = rb.rollout(model, rb.State(q, v), ctrls, steps=steps, save_every=steps)
         return out.q[:, -1], out.v[:, -1]
 
     def loss(self, *args: Any, **how: Any) -> jax.Array:
@@ -58,9 +56,7 @@ def methods(c: Case) -> Iterator[dict]:
     for name in ("semi_implicit_euler", "rk4", "variational_midpoint"):
 
         def last(u: Any, q: Any, v: Any, name: str = name) -> Any:
-            out = rb.rollout(
-                c.model, rb.State(q, v), u, 0.002, save_every=STEPS, integrator=name
-            )
+            out = rb.rollout(c.model, rb.State(q, v), u, 0.002, save_every=STEPS, integrator=name)
             return out.q[:, -1], out.v[:, -1]
 
         def loss(u: Any, q: Any, v: Any, last: Callable = last) -> jax.Array:
@@ -162,9 +158,7 @@ def memory(c: Case) -> Iterator[dict]:
     for budget in (2**31, 2**36):
 
         def loss(q, v, u, budget=budget):
-            out = rb.rollout(
-                c.model, rb.State(q, v), u, save_every=steps, memory=budget
-            )
+            out = rb.rollout(c.model, rb.State(q, v), u, save_every=steps, memory=budget)
             return (out.q[:, -1] ** 2).sum()
 
         grad = jax.grad(loss)
@@ -225,8 +219,7 @@ def algorithms(c: Case) -> Iterator[dict]:
         args = c.batch(size)[: f.__code__.co_argcount]
         run = jax.vmap(f)
         moved = sum(
-            x.size * x.dtype.itemsize
-            for x in jax.tree.leaves((args, jax.eval_shape(run, *args)))
+            x.size * x.dtype.itemsize for x in jax.tree.leaves((args, jax.eval_shape(run, *args)))
         )
         row = c.row(what, size, run, *args)
         if "run_min_s" in row:

@@ -80,7 +80,5 @@ def guess(seed: int) -> rb.Model:
     p[4:] *= np.exp(rng.uniform(-0.7, 0.7, 4))
     with warnings.catch_warnings(action="ignore"):  # the file's friction loss is replaced below
         model = rb.load(text(p))
-    dry = rb.forces.JointFriction.of(
-        model, model.joint_names, coulomb=p[6:], smoothing=SMOOTHING
-    )
+    dry = rb.forces.JointFriction.of(model, model.joint_names, coulomb=p[6:], smoothing=SMOOTHING)
     return model.with_forces(dry)

@@ -63,7 +63,7 @@ class CompliantContact(Element):
         >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.1">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
-        >>> model = rb.load(ball)
+        >>> model = rb.load(ball, contacts=False)
         >>> contact = rb.contact.CompliantContact.of(model, stiffness=1e4, exponent=1)
         >>> model = model.with_forces(contact)
         >>> round(float(rb.applied_forces(model, rb.State([-0.01], [0.0]))[0]), 3)
@@ -103,10 +103,16 @@ class CompliantContact(Element):
             pairs: names or indices of the geoms, two each; the pairs of the file if None.
 
         Raises:
-            InputError: the model has no geoms, or no pair; numbers below zero, or not finite.
+            InputError: the model has a contact law, no geoms, or no pair; numbers below zero, or
+                not finite.
         """
         at = "CompliantContact.of"
         check_model(at, model)
+        if model.contact is not None:
+            raise InputError(
+                f"{at}: the model has the contact law {model.contact!r}, and the element would act "
+                "in addition to it; load(contacts=False), or model.replace(contact=None)"
+            )
         chosen = check_pairs(at, model, pairs)
         n, dtype = len(chosen), model.gravity.dtype
         friction = file_friction(model, chosen, dtype) if friction is None else friction

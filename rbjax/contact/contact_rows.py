@@ -193,16 +193,20 @@ class ContactSet:
         """
 
         def store(found: Found, contact: Contact, pair: Any, candidate: Any, active: Any) -> Found:
-            # the next contact overwrites one that is not stored
+            # a branch, because stores at places that differ between the lanes of a warp are slow
             k, more = found.length, contact.exists if gap else active
             tangent = Vec3.zero() if contact.tangent is None else contact.tangent
             lanes = [contact.distance, *contact.position, *contact.normal, *tangent]
-            return Found(
-                k + jnp.asarray(more, jnp.int32),
-                found.contacts.at[k].set(pack(lanes, found.contacts[0])),
-                found.pairs.at[k].set(jnp.asarray(pair, jnp.int32)),
-                found.candidates.at[k].set(jnp.asarray(candidate, jnp.int32)),
-            )
+
+            def stored() -> Found:
+                return Found(
+                    k + 1,
+                    found.contacts.at[k].set(pack(lanes, found.contacts[0])),
+                    found.pairs.at[k].set(jnp.asarray(pair, jnp.int32)),
+                    found.candidates.at[k].set(jnp.asarray(candidate, jnp.int32)),
+                )
+
+            return jax.lax.cond(more, stored, lambda: found)
 
         n, dtype = self.candidates, world.geoms.dtype
         index = jnp.zeros(n, jnp.int32)

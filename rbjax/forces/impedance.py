@@ -51,7 +51,7 @@ def impedance(r: Lane, solimp: Lanes) -> Lane:
     low, high, width, middle, power = solimp
     low, high, middle = (_clip(x, *IMPEDANCES) for x in (low, high, middle))
     flat = width <= LEAST
-    x = abs(r) / _where(flat, 1.0, width)
+    x = _magnitude(r) / _where(flat, 1.0, width)
     rising = x <= middle
     rest = _where(rising, x / middle, _clip(1 - x, 0.0, 1.0) / (1 - middle))
     part = _power(rest, _larger(power, 1.0))
@@ -132,6 +132,11 @@ def _where(condition: Any, x: Lane, y: Lane) -> Lane:
     if isinstance(condition, (bool, np.bool_)):
         return x if condition else y
     return _module(condition, x, y).where(condition, x, y)
+
+
+def _magnitude(x: Lane) -> Lane:
+    """Compute |x|, with a zero derivative at x = 0."""
+    return abs(x) if is_literal(x) else x * _module(x).sign(x)
 
 
 def _larger(x: Lane, least: Lane) -> Lane:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from rbjax.arguments import flag
-from rbjax.constraints import JointPolynomial
+from rbjax.constraints import JointPolynomial, Soft
 from rbjax.errors import UnsupportedFeature, listed
 from rbjax.forces.acting import elements
 from rbjax.forces.actuators.actuator import (
@@ -362,5 +362,5 @@ def _driven(model: Model) -> set[int]:
 
 def _followers(model: Model) -> set[int]:
     """Return the joints that a mimic or a joint equality couples to another joint, or fixes."""
-    couplings = [c for c in model.constraints if isinstance(c, JointPolynomial)]
-    return {model.joint(c.joint) for c in couplings}
+    every = (c.of if isinstance(c, Soft) else c for c in model.constraints)
+    return {model.joint(c.joint) for c in every if isinstance(c, JointPolynomial)}

@@ -136,9 +136,7 @@ def simulate_impacts(
     Source: Brogliato, *Nonsmooth Mechanics*, ch. 7; Leine & Nijmeijer 2004, ch. 7.
 
     Example: a ball that bounces once
-        >>> import warnings
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 1.1">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)

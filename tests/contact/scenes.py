@@ -20,7 +20,7 @@ def load_text(xml):
     """Load a file whose contacts are left out of the motion."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*left out of the model.*contacts")
-        return rb.load(xml)
+        return rb.load(xml, contacts=False)
 
 
 def ball(radius=0.1, height=0.1, joint='<joint type="slide" axis="0 0 1"/>', mass=1.0):

@@ -212,3 +212,25 @@ def test_threads_and_dtypes(dtype) -> None:
         gradient, jax.grad(lambda h: distance(q, h).sum())(h), atol=tolerance
     )
     assert (gradient != 0).any()
+
+
+def test_a_flat_field_acts_as_a_plane() -> None:
+    """Accelerations of a ball, a capsule and a box that sink into a field of 64 x 64 equal heights,
+    where MuJoCo has a contact for each prism in reach."""
+    bodies = "".join(
+        f'<body pos="{0.3 * k - 0.3} .01 .045"><freejoint/><geom {geom}/></body>'
+        for k, geom in enumerate(
+            ('size=".05"', 'type="capsule" size=".05 .1" euler="0 88 0"',
+             'type="box" size=".05 .05 .05" euler="1 2 0"')
+        )
+    )  # fmt: skip
+    field = f'<hfield name="h" nrow="64" ncol="64" size="1 1 .1 .1" elevation="{"0 " * 4096}"/>'
+    found = []
+    for ground in ('type="plane" size="0 0 1"', 'type="hfield" hfield="h"'):
+        world = f"<worldbody><geom {ground}/>{bodies}</worldbody>"
+        model = rb.load(f"<mujoco><asset>{field}</asset>{world}</mujoco>", contacts=True)
+        state = model.default_state()
+        v = jnp.asarray(np.random.default_rng(0).normal(size=model.nv)).at[2::6].set(-0.1)
+        found.append(rb.acceleration(model, state.replace(v=v)))
+    assert (np.asarray(found[0])[[2, 8, 14]] > 1).all()  # the ground pushes
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)

@@ -106,9 +106,7 @@ def slopes(f: Callable[[Any], jax.Array], at: Any, step: float = 6e-6) -> float:
         weight = jax.numpy.cos(1.0 + jax.numpy.arange(value.size)).reshape(value.shape)
         (back,) = jax.vjp(f, at)[1](weight)
         along = sum((a * b).sum() for a, b in zip(*map(jax.tree.leaves, (back, way)), strict=True))
-        ends = [
-            f(jax.tree.map(lambda x, d, s=s: x + s * d, at, way)) for s in (-step, step)
-        ]
+        ends = [f(jax.tree.map(lambda x, d, s=s: x + s * d, at, way)) for s in (-step, step)]
         return rate, along, (rate * weight).sum(), (ends[1] - ends[0]) / (2 * step)
 
     rate, along, forth, differences = both(at)

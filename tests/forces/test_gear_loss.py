@@ -71,9 +71,10 @@ KINDS = {
 def test_it_takes_the_forces_of_all_kinds_of_actuators_within_the_limits(kind, limited):
     """A force of 2 (x = 1 or u = 1, gear 2), or 0.8 where the actuator is limited, or 0.3 where
     the joint is."""
-    text = ARM.replace('<joint name="b"', '<joint name="b" ' + limited * (
-        'actuatorfrclimited="true" actuatorfrcrange="-0.3 0.3" '
-    )).replace('<motor name="b" joint="b"/>', f'<general joint="b" gear="2" {KINDS[kind]}/>')
+    text = ARM.replace(
+        '<joint name="b"',
+        '<joint name="b" ' + limited * ('actuatorfrclimited="true" actuatorfrcrange="-0.3 0.3" '),
+    ).replace('<motor name="b" joint="b"/>', f'<general joint="b" gear="2" {KINDS[kind]}/>')
     model = rb.load(text)
     acting = model.with_forces(rb.forces.GearLoss.of(model, ["b"], 0.5, smoothing=1e-3))
     for dtype in (jnp.float32, jnp.float64):

@@ -84,6 +84,7 @@ def test_names_are_as_many_as_values(name):
         "body": "hand",
         "name": "imu",
         "tendon": "belt",
+        "first": "body:hand",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
     sensor = sensors.sensor_of(name + place)

@@ -78,9 +78,7 @@ def detect(
     Source: Ericson, *Real-Time Collision Detection*, ch. 5.
 
     Example:
-        >>> import warnings
         >>> import rbjax as rb
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.2">
         ...     <freejoint/><geom type="sphere" size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)

@@ -95,9 +95,7 @@ def impulse(
     Source: Brogliato, *Nonsmooth Mechanics*, ch. 4; Stronge, *Impact Mechanics*, ch. 3.
 
     Example:
-        >>> import warnings
         >>> import rbjax as rb
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.1">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)

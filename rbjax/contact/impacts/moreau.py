@@ -56,9 +56,7 @@ class MoreauContact(Record):
     Source: Moreau 1988; Jean 1999.
 
     Example: a ball that falls onto the floor and stays there
-        >>> import warnings
         >>> import rbjax as rb
-        >>> warnings.simplefilter("ignore")  # contacts are left out of the model's motion
         >>> ball = '''<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.2">
         ...     <joint type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball)

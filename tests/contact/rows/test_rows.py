@@ -143,8 +143,8 @@ def test_batches(n: int) -> None:
 
 def test_rollout_equals_mujoco() -> None:
     m = compiled("arms")
-    model, d = rb.load(m, contacts=True), mujoco.MjData(m)
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    model, d = rb.load(m), mujoco.MjData(m)
     for _ in range(200):
         mujoco.mj_step(m, d)
     path = jax.jit(lambda state: rb.rollout(model, state, steps=200))(model.default_state())
