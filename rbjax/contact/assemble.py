@@ -20,7 +20,8 @@ from rbjax.contact.problem import Problem, Tree, stacked
 from rbjax.contact.rows.dof_rows import dof_rows
 from rbjax.contact.rows.equality_rows import equality_rows
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.contact.rows.tendon_rows import has_tendon_rows, tendon_rows, tendon_weights
+from rbjax.contact.rows.tendon_rows import tendon_rows
+from rbjax.contact.rows.tendon_weights import has_tendon_rows, tendon_weights
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
@@ -75,6 +76,7 @@ class Assembly:
     """
 
     def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
+        model = _in_dtype(model, q.dtype)
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
         self.dt = model.timestep if dt is None else dt
         self.touching = Touching.of(model)
@@ -203,3 +205,14 @@ class Assembly:
         if has_tendon_rows(model):
             rows += tendon_rows(context, tendon_weights(model), options)
         return rows + equality_rows(context, options)
+
+
+def _in_dtype(model: Model, dtype: Any) -> Model:
+    """Convert the traced parameters of contacts and limits to a dtype."""
+
+    def converted(tree: Any) -> Any:
+        return jax.tree.map(lambda x: x.astype(dtype) if is_traced(x) else x, tree)
+
+    kept = {"constants": model.execution.constants, "weights": model.execution.weights}
+    parts = {name: converted(getattr(model, name)) for name in ("geoms", "solver", "joints")}
+    return model.replace(**parts, **kept)

@@ -47,8 +47,9 @@ def solve(
         contact: "mujoco", or `rbjax.contact.SoftContact` with its arguments.
 
     Returns:
-        `ContactSolution`. Batches by `jax.vmap`. It has derivatives in forward and reverse mode;
-        those of the acceleration are implicit.
+        `ContactSolution`. Batches by `jax.vmap`: over the states of a trajectory, saved at each
+        step, it gives iterations and error of each step. It has derivatives in forward and
+        reverse mode; those of the acceleration are implicit.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, a law that is not soft, a

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.contact.rows.tendon_weights import tendon_weights
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.drivers.choice import Driver, Rolled
 from rbjax.dynamics.drivers.unrolled import Unrolled
@@ -48,7 +49,7 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     """
     dtype = model.gravity.dtype if dtype is None else dtype
     if model.execution.weights is not None:
-        return model.execution.weights
+        return model.execution.weights[:2]
     traced = [isinstance(x, jax.core.Tracer) for x in constant_leaves(model).values()]
     constant = model.execution.constants is None and not any(traced)
     if constant:
@@ -70,8 +71,9 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
 
 
 def with_weights(model: Model, dtype: Any = None) -> Model:
-    """Precompute the inverse weights and store them in the model, for all steps of a motion."""
-    return model.replace(weights=inverse_weights(model, dtype))
+    """Precompute the inverse weights of bodies, dofs and tendons and store them in the model, for
+    all steps of a motion."""
+    return model.replace(weights=(*inverse_weights(model, dtype), tendon_weights(model)))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

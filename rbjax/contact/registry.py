@@ -25,6 +25,11 @@ def laws() -> dict[str, Callable[[Model], Any]]:
     Each law is a constructor of a dynamics from a model. `rb.contact.CompliantContact` is a force
     element instead, and needs no law.
 
+        name      normal contact     friction           derivative of an impact
+        mujoco    soft               soft, creeps       biased at any step size (`SoftContact`)
+        coulomb   soft               Coulomb, sticks    biased in the same way
+        impulse   rigid              Coulomb, sticks    exact to the order of the step
+
     Example:
         >>> import rbjax as rb
         >>> list(rb.contact.laws())

@@ -128,6 +128,13 @@ class SoftContact:
     constraints of the model must be soft (`rbjax.constraints.Soft`), as `rb.load(contacts=True)`
     makes the equalities of a file.
 
+    Derivatives are exact within a phase of contact. Through an impact they are biased at any step
+    size, because the damping of a contact acts in full from the first step in touch: a bounce with
+    restitution e and damping c per mass has dz/dh = -e - c e (T - t_touch - t_c - c/k) in place of
+    -e. Use `contact="impulse"` or `CompliantContact` for derivatives through impacts, or an
+    impedance that begins near zero (solimp="0.0001 0.95 0.02 0.5 2"), whose bias vanishes with the
+    step.
+
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
             best acceleration that was found; `rb.contact.solve` reports its error.

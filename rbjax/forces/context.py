@@ -8,7 +8,7 @@ force over many bodies, by unrolled code or by a loop whose program contains the
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -74,14 +74,9 @@ class Context:
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        t: Any,
-        state: State,
-        ctrl: Any,
-        dt: Any = None,
+        cls, model: Model, t: Any, state: State, ctrl: Any, dt: Any = None,
         d: Driver | None = None,
-    ) -> Context:
+    ) -> Context:  # fmt: skip
         """Make the context of a state with the x of all elements, on a driver (None: default)."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         own = without_constants(model)  # a user's element may change the leaves of the model
@@ -333,8 +328,8 @@ def on_each(
     columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
 
     def written_out() -> Loads:
-        each = ((bodies[i], _known(lane, columns, i)) for i in moving)
-        return sum((act(context.body(b), *own) for b, own in each), Loads())
+        each = frames_of(context, bodies, *numbers)
+        return sum((act(frame, *own) for frame, own in each), Loads())
 
     if isinstance(context.links.driver, Unrolled) or not moving:
         return written_out()
@@ -358,6 +353,14 @@ def on_each(
     except _NotItsOwn:
         return written_out()
     return Loads({}, context.links.scattered(index, forces))
+
+
+def frames_of(context: Context, bodies: Sequence[int], *numbers: Any) -> Iterator[tuple]:
+    """Iterate over the frames of the bodies that move, with their rows of the parameters."""
+    columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
+    for i, b in enumerate(bodies):
+        if context.model.topology.body_links[b] != WORLD:
+            yield context.body(b), _known(lane, columns, i)
 
 
 #: placeholder index of the body's link in a loop over bodies

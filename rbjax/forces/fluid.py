@@ -30,7 +30,8 @@ zero. The acceleration term of the added mass is left out, as in MuJoCo.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -38,9 +39,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.context import Context, Frame, on_each
+from rbjax.forces.context import Context, Frame, frames_of, on_each
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul, quaternion_matrix
+from rbjax.forces.slopes import Slope
+from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul, neg, quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.model.leaves import table, tables
 from rbjax.model.links import lane
@@ -123,11 +125,20 @@ class InertiaBoxFluid(Element):
 
         def dragged(frame: Frame, axes: Mat3, com: Vec3, drag: _Drag) -> Loads:
             box = frame.then(Transform(axes, com))
-            V = relative_twist(box, wind)
-            torque = _against(V.ang, drag.viscous_torque, drag.torque)
-            return box.push_own(Force(torque, _against(V.lin, drag.viscous_force, drag.force)))
+            return box.push_own(drag.wrench(relative_twist(box, wind)))
 
         return on_each(context, self.bodies, dragged, axes, com, self._drag(context))
+
+    def slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of each box."""
+        com = context.model.bodies.com[np.array(self.bodies)]
+        axes = rotations(table(self.orientation, context.q.dtype))
+        wind, out = in_lanes(self.wind, context), list[Slope]()
+        given = axes, com, self._drag(context)
+        for frame, (turn, center, drag) in frames_of(context, self.bodies, *given):
+            box = frame.then(Transform(turn, center))
+            out += wrench_slopes(box, drag.wrench, relative_twist(box, wind), context.q.dtype)
+        return out
 
     def _drag(self, context: Context) -> _Drag:
         """Compute the drag coefficients of the boxes, as columns over the bodies."""
@@ -163,6 +174,11 @@ class _Drag(NamedTuple):
     force: Vec3
     torque: Vec3
 
+    def wrench(self, V: Motion) -> Force:
+        """Compute the drag on a box at a twist relative to the fluid."""
+        torque = _against(V.ang, self.viscous_torque, self.torque)
+        return Force(torque, _against(V.lin, self.viscous_force, self.force))
+
 
 def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
     """Compute the drag -(viscous + quadratic_i |u_i|) u_i along each axis i."""
@@ -175,6 +191,24 @@ def relative_twist(frame: Frame, wind: Vec3) -> Motion:
     if all(map(is_zero, wind)):
         return V
     return Motion(V.ang, V.lin - frame.rotation.T @ wind)
+
+
+def wrench_slopes(
+    frame: Frame, wrench: Callable[[Motion], Force], V: Motion, dtype: Any
+) -> list[Slope]:
+    """Compute the damping of a wrench on a frame that depends on its twist V, in frame axes."""
+    at = [jnp.asarray(x, dtype) for x in V]
+    units = [[1.0 if k == n else 0.0 for k in range(6)] for n in range(6)]
+    rows = [frame.arms(Force.from_lanes(unit)) for unit in units]
+
+    def force(*V: Lane) -> list[Lane]:
+        return [jnp.asarray(x, dtype) for x in wrench(Motion(Vec3(*V[:3]), Vec3(*V[3:])))]
+
+    out = []
+    for b, unit in enumerate(units):
+        rates = jax.jvp(force, at, [jnp.asarray(x, dtype) for x in unit])[1]
+        out += [Slope(rows[a], 0.0, neg(rate), rows[b]) for a, rate in enumerate(rates)]
+    return out
 
 
 def rotations(orientation: Any) -> Mat3:
@@ -251,6 +285,17 @@ class EllipsoidFluid(Element):
             return here.push_own(_wrench(relative_twist(here, wind), own))
 
         return on_each(context, self.bodies, acted, axes, self.position, self._ellipsoids(context))
+
+    def slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of each ellipsoid."""
+        axes = rotations(table(self.orientation, context.q.dtype))
+        wind, out = in_lanes(self.wind, context), list[Slope]()
+        given = axes, self.position, self._ellipsoids(context)
+        for frame, (turn, position, own) in frames_of(context, self.bodies, *given):
+            here = frame.then(Transform(turn, position))
+            V = relative_twist(here, wind)
+            out += wrench_slopes(here, partial(_wrench, own=own), V, context.q.dtype)
+        return out
 
     def _ellipsoids(self, context: Context) -> _Ellipsoid:
         """Compute the coefficients of the forces, as columns over the ellipsoids."""

@@ -117,7 +117,7 @@ def transpose_product(J: Sequence[Sequence[Lane]], y: Sequence[Lane]) -> list[La
 
 
 def half_square(e: Sequence[Lane]) -> jax.Array:
-    """Return E = |e|^2 / 2."""
+    """Return the cost E = |e|^2 / 2 of weighted pose errors e."""
     return jnp.asarray(inner(e, e)) / 2
 
 

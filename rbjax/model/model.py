@@ -21,7 +21,7 @@ from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.geoms import Geoms
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
-from rbjax.model.record import EXECUTION, Execution, cast_floats, index_of
+from rbjax.model.record import EXECUTION, PRECOMPUTED_FROM, Execution, cast_floats, index_of
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.solver_parameters import SolverParameters
@@ -182,7 +182,7 @@ class Model(Record):
         Arrays must keep their shapes. Entries that `fix_zeros` has fixed keep their values.
         """
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
-        if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
+        if changes.keys() & PRECOMPUTED_FROM or "zeros" in how:
             how = {"constants": None, "weights": None} | how
         zeros = how.get("zeros", self.execution.zeros)
         if zeros is not None:

@@ -157,8 +157,8 @@ class Execution(Record):
         driver: one of `DRIVER_NAMES`.
         zeros: the entries of leaves that are compile-time constants (`Model.fix_zeros`), or None.
         constants: the precomputed link constants (`with_constants`), or None.
-        weights: the precomputed inverse inertias of bodies and dofs that scale the softness of
-            contacts (`rbjax.contact.inverse_weights.with_weights`), or None.
+        weights: the precomputed inverse inertias of bodies, dofs and tendons that scale the
+            softness of contacts (`rbjax.contact.inverse_weights.with_weights`), or None.
     """
 
     driver: str = eqx.field(static=True, default="auto")
@@ -173,3 +173,5 @@ class Execution(Record):
 
 #: the names of the fields of `Execution`
 EXECUTION = tuple(f.name for f in dataclasses.fields(Execution))
+#: the fields of a model from which constants and weights are computed
+PRECOMPUTED_FROM = frozenset({"bodies", "joints", "gravity", "tendons", "sites", "geoms"})

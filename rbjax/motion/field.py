@@ -57,8 +57,10 @@ class VelocityDynamics(Protocol):
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
-    ) -> tuple[jax.Array, jax.Array]:
-        """Compute the velocity (nv,) and the memory (m,) after a step dt."""
+    ) -> tuple[jax.Array, jax.Array] | tuple[jax.Array, jax.Array, jax.Array]:
+        """Compute the velocity (nv,) and the memory (m,) after a step dt. A third result is the
+        mean velocity (nv,) over the step, which moves the configuration; without it, the velocity
+        after the step does."""
         ...
 
 
@@ -94,14 +96,17 @@ class Field:
         tau, f_ext, x = self.applied(t, state, u)
         return self._acceleration(t, state, tau, f_ext), x
 
-    def advance_velocity(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
-        """Compute v (nv,), x (nx,) and the memory after a step dt with constant forces."""
+    def advance_velocity(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple:
+        """Compute v (nv,), x (nx,) and the memory after a step dt with constant forces, and the
+        velocity (nv,) that moves the configuration."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
         if not isinstance(self.dynamics, VelocityDynamics):
-            return state.v + dt * self._acceleration(t, state, tau, f_ext), x, state.memory
+            v = state.v + dt * self._acceleration(t, state, tau, f_ext)
+            return v, x, state.memory, v
         given = self._model_of_dynamics, t, state, tau, f_ext, dt
-        v, memory = self.dynamics.advance_velocity(*given)
-        return self._checked("velocity", v, state), x, memory
+        v, memory, *mean = self.dynamics.advance_velocity(*given)
+        v = self._checked("velocity", v, state)
+        return v, x, memory, self._checked("mean velocity", *mean, state) if mean else v
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute M a (nv,) with the acceleration a, x (nx,) after a step dt, and the memory."""

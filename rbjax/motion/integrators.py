@@ -53,8 +53,8 @@ class Integrator(Protocol):
 def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
     """Advance a state by v+ = v + dt a(q, v), q+ = q (+) dt v+, x+ = x + dt x'. The order is 1.
     The step is symplectic if the mass matrix is constant and no force depends on v."""
-    v, x, memory = field.advance_velocity(t, state, u, dt)
-    return State(field.retract(state.q, dt * v), v, x, memory)
+    v, x, memory, moving = field.advance_velocity(t, state, u, dt)
+    return State(field.retract(state.q, dt * moving), v, x, memory)
 
 
 def runge_kutta(

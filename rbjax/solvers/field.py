@@ -104,7 +104,7 @@ def linearize(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @eqx.filter_custom_jvp
 def evaluate_stages(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
-    """Evaluate f at the stages t (s,), y (s, n)."""
+    """Evaluate a vector field f at all stages of a step: times t (s,) and states y (s, n)."""
     return batch_first(_batch(f, t, y))
 
 

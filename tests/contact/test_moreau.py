@@ -37,7 +37,7 @@ def test_a_bouncing_ball():
 
 
 def test_a_sliding_box_stops_and_does_not_lift():
-    """A cube at 6 m/s: s = v^2 / (2 mu g) to order h, without lift and without creep."""
+    """A cube at 6 m/s: s = v^2 / (2 mu g), without lift and without creep."""
     model, v, mu = load(box(0.05)), 6.0, 0.5
     law = rb.contact.MoreauContact.of(model, friction=mu)
     state = model.default_state().replace(v=jnp.array([v, 0, 0, 0, 0, 0.0]))
@@ -47,7 +47,7 @@ def test_a_sliding_box_stops_and_does_not_lift():
         errors.append(abs(float(path.q[-1, 0]) - v**2 / (2 * mu * G)))
         assert path.q[:, 2].max() < 0.05 + 1e-6 and residuals(path).max() < 1e-6
         np.testing.assert_allclose(path.v[-1], 0.0, atol=1e-9)
-    assert errors[0] < v * 4e-3 and errors[1] < 0.6 * errors[0]
+    assert max(errors) < 3e-6
 
 
 def test_two_boxes_at_rest():

@@ -1,10 +1,14 @@
 """Moreau's time stepping: contacts as impulses over a step, with restitution and Coulomb friction.
 
     v+ = v + h a_free + W J^T p,    p by `impulse_equations` with u = J (v + h a_free)
-A contact is active if it would close within the step, distance + h u_n <= 0. Its normal velocity
-after the step is at least e |u_n-| (Newton), or -distance / h without restitution, so that it ends
-in touch. Penetration is reduced at the rate c / h. Impulses of impacts and of lasting contacts are
-not distinguished, so accumulation points and many contacts at once need no events; the order is 1.
+    q+ = q (+) h w,   w = v + h a_free / 2 + W J^T r,   r the impulses that move the bodies
+A contact is active if it would close within the step. Its normal velocity after the step is at
+least that of Newton's restitution at the time of impact, or zero. A second problem, of the mean
+velocity w, places the contact at its distance after the rebound, or at zero, and removes the share
+c of a penetration. Friction of a lasting contact is constant over the step. So free fall and slides
+with constant forces have no error, and the derivatives of an impact are those of its saltation
+matrix (`time_of_impact`). Accumulation points and many contacts at once need no events; the order
+is 1.
 
 Source: Moreau, *Unilateral contact and dry friction in finite freedom dynamics*, 1988; Jean, *The
 non-smooth contact dynamics method*, 1999; Stewart & Trinkle 1996.
@@ -23,6 +27,7 @@ from rbjax.constraints.formulation import formulation_of
 from rbjax.contact.geometry.detection import contacts_at
 from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
+from rbjax.contact.impacts.time_of_impact import end_of_slip, touchdown
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.arguments import check_model
@@ -35,7 +40,8 @@ class MoreauContact(Record):
     """Dynamics of contacts by Moreau's time stepping, for `step` and `rollout`.
 
     Make it with `MoreauContact.of`, and pass it as `dynamics=`. Use it for impacts with Newton's
-    restitution, stacks and true sticking with steps of a millisecond.
+    restitution, stacks and true sticking with steps of a millisecond, and for derivatives through
+    impacts and slides: they are those of the rigid motion, as the step contains the time of impact.
 
     The memory (3 n + 1,) contains the impulses of the last step in N s, which start the next one,
     and at its end the residual in m/s: the largest violation of the laws of contact.
@@ -109,8 +115,9 @@ class MoreauContact(Record):
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
-    ) -> tuple[jax.Array, jax.Array]:
-        """Compute the velocity (nv,) and the memory (3 n + 1,) after a step dt."""
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Compute the velocity (nv,) and the memory (3 n + 1,) after a step dt, and the mean
+        velocity (nv,) over the step."""
         assert state.memory is not None
         q, v, dtype = state.q, state.v, state.q.dtype
         e, mu, c, rest = (
@@ -125,14 +132,23 @@ class MoreauContact(Record):
         contacts = contacts_at(model, q, jnp.inf, self.pairs)
         later = v + dt * a
         J, problem, Y = impact_problem(model, q, later, contacts, mu, t)
-        gap = contacts.distance
-        closing = -matvec(J[:, 0], v)
-        active = contacts.exists & (gap + dt * problem.u[:, 0] <= 0)
-        touch = jnp.where(gap > 0, -gap, -c * gap) / dt
-        b = jnp.where((closing > rest) & (e > 0), jnp.maximum(e * closing, touch), touch)
-        problem = problem._replace(b=b, active=active)
+        normal = J[:, 0]
+        events = touchdown(
+            contacts.distance, matvec(normal, v), matvec(normal, a), e, rest, c, dt
+        )  # fmt: skip
+        active = contacts.exists & events.active
+        problem = problem._replace(b=events.velocity, active=active)
         start = jnp.where(active[:, None], state.memory[:-1].reshape(-1, 3), 0)
         p = sweep_impulses(problem, start, self.sweeps)
         residual = jnp.abs(natural_map(problem, p)).max(initial=0.0)
         memory = jnp.concatenate([p.reshape(-1), residual[None]])
-        return later + matvec(Y, p.reshape(-1)), memory
+        slip = matvec(J.reshape(-1, len(v)), v).reshape(-1, 3)[:, 1:]
+        moving = jnp.where(active[:, None], p * events.part[:, None], 0)
+        moving = moving.at[:, 1:].add(
+            jnp.where(events.leaves[:, None], 0, end_of_slip(problem, p, slip))
+        )
+        mean = v + 0.5 * dt * a + matvec(Y, moving.at[:, 0].set(0).reshape(-1))
+        u = matvec(J.reshape(-1, len(v)), mean).reshape(-1, 3)
+        places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(mu))
+        r = sweep_impulses(places, moving.at[:, 1:].set(0), self.sweeps)
+        return later + matvec(Y, p.reshape(-1)), memory, mean + matvec(Y, r.reshape(-1))

@@ -225,8 +225,8 @@ class Limbs(unrolled.ListDriver):
     def _one_group(
         self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
     ) -> tuple[list[tuple[int, Any]], Any]:
-        """Run `limb` for one group. Return (index in the trunk, value passed to the trunk) of each
-        limb, and the outputs of its links, stacked."""
+        """Run `limb` for a group of equal limbs. Return (link of the trunk, value passed to it) of
+        each limb, and the outputs of the links, stacked."""
         ports = [self._place[i] for i in group.carriers]
         together = len(set(ports)) == 1
         summed = together and ports[0] != WORLD

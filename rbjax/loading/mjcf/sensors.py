@@ -55,7 +55,7 @@ def read_sensors(m: mujoco.MjModel) -> tuple[tuple[NamedSensor, ...], dict[str, 
 
 
 def _changes(m: mujoco.MjModel, i: int) -> list[str]:
-    """List the differences of a sensor that is read from the file's."""
+    """List the features of sensor i of the file that the sensor of the model does not have."""
     out = []
     if m.sensor_delay[i] or m.sensor_interval[i].any():
         out.append("delays and intervals of sensors")

@@ -29,6 +29,7 @@ import jax
 
 from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.soft import SoftContact
 from rbjax.motion.closures.reading import (
     FLOATS,
     TRACERS,
@@ -110,8 +111,8 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
 
 def captured(f: Callable) -> Callable:
     """Return a function as a pytree, or unchanged if not all values that it reads can be found.
-    Formulations are unchanged, because they compare by their parameters."""
-    if isinstance(f, Formulation):
+    Formulations and soft contact are unchanged, because they compare by their parameters."""
+    if isinstance(f, Formulation | SoftContact):
         return f
     for level in range(_levels.get(_site(f), FLOATS), OPAQUE):
         found = _read(f, level)

@@ -108,8 +108,8 @@ class Stages(NamedTuple):
     """Solution of the stage equations.
 
     Fields:
-        rates: (s, n).
-        w: (s, m) algebraic unknowns.
+        rates: (s, n) rates of the state at the stages.
+        w: (s, m) algebraic unknowns at the stages.
         ok: whether the iteration converged. If not, the values are the guess.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -131,6 +132,16 @@ def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
     return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[:2]
 
 
+def _rates_and_matrix(model: Model, ctrl: Any) -> Callable[[State], tuple[jax.Array, jax.Array]]:
+    """Return `_both` as a function of the state.
+
+    With a contact law the model is a constant of the program, which compiles ten times faster.
+    """
+    if model.contact is None:
+        return lambda state: _both(model, state, ctrl)
+    return jax.jit(lambda state: _both(model, state, ctrl))
+
+
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
     """Return whether an acceleration is zero up to rounding."""
     return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
@@ -142,7 +153,7 @@ def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
     if not model.nv:
         raise InputError(f"{where}: the model has no joints, so nothing moves")
     state = found["state"]
-    a, A = map(np.asarray, _both(model, state, found.get("ctrl")))
+    a, A = map(np.asarray, _rates_and_matrix(model, found.get("ctrl"))(state))
     if np.abs(state.v).max() > 0 or not _vanishes(a, A):
         raise InputError(
             f"{where}: the state moves at {np.abs(state.v).max():.1e} and accelerates at "
@@ -226,8 +237,9 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         raise InputError(f"equilibrium: steps is {steps!r}, expected an integer of at least 1")
     if not n:
         return state
+    both = _rates_and_matrix(model, ctrl)
     for _ in range(steps):
-        a, A = map(np.asarray, _both(model, state, ctrl))
+        a, A = map(np.asarray, both(state))
         rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all except the velocities
         left, slope = a, A[n:, rest]
         off = np.zeros(0)

@@ -63,8 +63,8 @@ def _memory_of(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
 
 @eqx.filter_jit
 def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, omega: Any) -> jax.Array:
-    """Return the matrices (m, k, k) of one step of length one, for rows of arguments (m, ...).
-    Their units are powers of omega (m,)."""
+    """Return the matrices (m, k, k) that map state and memory of a solver across a step of length
+    one, for rows of arguments (m, ...) of a linear field. Units are powers of omega (m,)."""
     term = diffrax.ODETerm(field)
     t0, t1 = jnp.array(0.0), jnp.array(1.0)
 

@@ -238,7 +238,7 @@ class _Problem:
         return np.concatenate([phi.ravel(), np.where(self.positive, np.exp(z), z)])
 
     def slopes(self, x: Array) -> Array:
-        """Compute the derivatives d pi / d x (p, p)."""
+        """Compute the derivatives d pi / d x (p, p) of the parameters by the unconstrained x."""
         z = x[10 * self.nb :]
         joints = np.diag(np.where(self.positive, np.exp(z), 1.0))
         return scipy.linalg.block_diag(*np.asarray(parameter_jacobian(self.bodies(x))), joints)
