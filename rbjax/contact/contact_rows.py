@@ -209,10 +209,9 @@ class ContactSet:
             return jax.lax.cond(more, stored, lambda: found)
 
         n, dtype = self.candidates, world.geoms.dtype
-        index = jnp.zeros(n, jnp.int32)
-        return self._scan(
-            world, store, Found(jnp.int32(0), jnp.zeros((n, 10), dtype), index, index)
-        )
+        # what lies in slots that are not in use is never read
+        index, none = jnp.zeros(n, jnp.int32), jax.lax.empty((n, 10), dtype)
+        return self._scan(world, store, Found(jnp.int32(0), none, index, index))
 
     def row_of_found(self, world: World, found: Found, k: Any) -> Row:
         """Compute the rows of a contact that `found` has stored."""
@@ -331,7 +330,8 @@ class Slots(NamedTuple):
             lanes = [x for axis in row.axes for x in axis]
             return rows.at[k].set(pack([*lanes, row.D, *row.reference], rows[0]))
 
-        none = jnp.zeros((contacts.candidates, 7 * contacts.dim + 1), world.geoms.dtype)
+        shape = contacts.candidates, 7 * contacts.dim + 1
+        none = jax.lax.empty(shape, world.geoms.dtype)
         return cls(found, found.fold(compute, none))
 
     def row(self, k: Any, dim: int) -> Row:

@@ -115,10 +115,19 @@ def _start(problem: Problem) -> _Iterate:
     zero, dtype = jnp.zeros(len(problem.rhs), problem.dtype), problem.dtype
     residuals = []
     for contacts, slots in zip(problem.sets, problem.slots, strict=True):
-        residuals.append(-slots.rows[:, 6 * contacts.dim + 1 :])
+
+        def opposite(k: Any, r: jax.Array, of: Any = contacts, slots: Any = slots) -> jax.Array:
+            return r.at[k].set(pack([neg(y) for y in slots.row(k, of.dim).reference], r[0]))
+
+        residuals.append(slots.fold(opposite, _unset(slots, contacts.dim)))
     u = pack([neg(y) for y in problem.rhs], zero)
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
     return _Iterate(zero, u, w, residuals, jnp.full((), jnp.inf, dtype), jnp.int32(0))
+
+
+def _unset(slots: Any, dim: int) -> jax.Array:
+    """Return an array (n, dim) for the slots in use."""
+    return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
 def _factors(problem: Problem, at: _Iterate, values: _Values) -> Any:
@@ -177,12 +186,18 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
             wrenches = of.add_wrench(row, wrenches, row.wrench(f))
             return rates.at[k].set(jnp.stack(s)), wrenches, sub(curvature, inner(f, s))
 
-        carry = jnp.zeros_like(r), wrenches, jnp.asarray(curvature, dtype)
+        carry = _unset(slots, contacts.dim), wrenches, jnp.asarray(curvature, dtype)
         found, wrenches, curvature = slots.fold(along, carry)
         rates.append(found)
     slope = sub(inner(s, unpack(at.u)), (twists * at.w).sum())
     alpha = _line_search(problem, at, values, s, (slope, curvature), rates)
-    residuals = [r + alpha * s for r, s in zip(at.residuals, rates, strict=True)]
+    residuals = []
+    for slots, r, rate in zip(problem.slots, at.residuals, rates, strict=True):
+
+        def moved(k: Any, r: jax.Array, rate: Any = rate) -> jax.Array:
+            return r.at[k].set(r[k] + alpha * rate[k])
+
+        residuals.append(slots.fold(moved, r))
     u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
     return _Iterate(at.x + alpha * p, u, w, residuals, at.error, at.iterations)
 

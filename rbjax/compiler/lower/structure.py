@@ -10,7 +10,14 @@ from rbjax.compiler.lower import arrays
 from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
-from rbjax.compiler.lower.lowering import Equation, Lowering, accepts_delayed, placing_rule, rule
+from rbjax.compiler.lower.lowering import (
+    Equation,
+    Lowering,
+    accepts_delayed,
+    dtype_of,
+    placing_rule,
+    rule,
+)
 
 accepts_delayed(
     "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
@@ -221,14 +228,21 @@ def _pad(low: Lowering, eqn: Equation, ins: list) -> list:
     return [wide]
 
 
-@rule("iota", "full", "empty2")
+@rule("iota", "full")
 def _constant(low: Lowering, eqn: Equation, ins: list) -> list:
     aval, P = eqn.outvars[0].aval, eqn.params
-    if eqn.primitive.name == "empty2":  # memory of a loop that writes it before it reads it
-        return [np.zeros(aval.shape, aval.dtype)]
     if eqn.primitive.name == "full":
         return [np.full(aval.shape, P["fill_value"], aval.dtype)]
     axis = P["dimension"]
     row = np.arange(aval.shape[axis], dtype=aval.dtype)
     shape = [-1 if k == axis else 1 for k in range(len(aval.shape))]
     return [np.broadcast_to(row.reshape(shape), aval.shape)]
+
+
+@rule("empty", "empty2")
+def _unset(low: Lowering, eqn: Equation, ins: list) -> list:
+    """Return memory that the program writes before it reads it."""
+    aval = eqn.outvars[0].aval
+    if aval.size <= arrays.FEW:
+        return [np.zeros(aval.shape, aval.dtype)]
+    return [View.of(low.b.local(dtype_of(aval), aval.size), aval.shape)]
