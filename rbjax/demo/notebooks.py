@@ -24,7 +24,7 @@ FOLDER = CHECKOUT if CHECKOUT.is_dir() else Path(sys.prefix) / "share" / "rbjax"
 #: notebook -> its weight in progress bars
 NOTEBOOKS = {
     "forces": 10, "joints": 10, "loops": 15, "wheels": 15, "planning": 10, "gpu_threads": 5,
-    "swing_up": 30,
+    "swing_up": 30, "contact": 12, "walking": 12,
 }  # fmt: skip
 
 

@@ -68,7 +68,7 @@ def demo(
         done: called with a part's name and weight after it ends.
         options: part -> keyword arguments; None skips the part. The parts are motion, landing,
             validate, identify, integrators, and the notebooks forces, joints, loops, wheels,
-            planning, gpu_threads and swing_up.
+            planning, gpu_threads, swing_up, contact and walking.
         everything: also run the parts that are neither in `SHORT` nor in `options`.
 
     Returns:
