@@ -50,7 +50,7 @@ def model(
         step=PERIOD / STEPS, half=half, friction=friction, time=solref[0], ratio=solref[1],
         impedance=impedance,
     )  # fmt: skip
-    return rb.load(text, contacts=True)
+    return rb.load(text)
 
 
 def tosses(numbers: Any, samples: int = SAMPLES) -> np.ndarray:

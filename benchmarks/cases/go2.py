@@ -45,7 +45,7 @@ def robot(*legs: str) -> rb.Model:
     for leg in set(LEGS) - set(legs):
         spec.delete(spec.body(f"{leg}_hip"))
     with warnings.catch_warnings(action="ignore"):  # joint limits are far away
-        model = rb.load(spec.compile())
+        model = rb.load(spec.compile(), contacts=False)
     ones = np.ones(model.nv)
     return model.replace(joints=model.joints.replace(armature=0.01 * ones, damping=0.1 * ones))
 

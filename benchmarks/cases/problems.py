@@ -40,7 +40,7 @@ def arm(seed: int = 0) -> Problem:
     by a tenth. Another seed has other commands and first guesses."""
     given = json.loads((ORACLES / "arm5.json").read_text())
     with warnings.catch_warnings(action="ignore"):
-        model = rb.load(given["mjcf"])
+        model = rb.load(given["mjcf"], contacts=False)
     T, N = 0.002, 999
     t = np.arange(N + 1) * T
     ctrl = np.array([5, 4, 3, 2, 1.0]) * np.sin(
@@ -73,7 +73,7 @@ def quadruped() -> Problem:
     """Go2 in the air for 20 s at 400 Hz: armature, viscous and Coulomb friction and bias of twelve
     joints, and a delay. Its files lie beside the repository."""
     with warnings.catch_warnings(action="ignore"):
-        model = rb.load(str(GO2 / "go2_in_air.xml"))
+        model = rb.load(str(GO2 / "go2_in_air.xml"), contacts=False)
     model = model.replace(
         joints=model.joints.replace(armature=np.full(12, 0.01), damping=np.full(12, 0.1))
     )

@@ -41,7 +41,7 @@ TRUTH = np.array([0.02, 0.025, 0.03, 0.2, 0.3, 0.25, 0.01, -0.02, 0.015])
 def leg(seconds: float = 3.0, seed: int = 0) -> tuple[Setup, Recording]:
     """A set-up with first guesses and its recording: armature, friction and bias differ."""
     with warnings.catch_warnings(action="ignore"):
-        model = rb.load(MJCF)
+        model = rb.load(MJCF, contacts=False)
 
     def setup(armature: np.ndarray, damping: np.ndarray, bias: np.ndarray) -> Setup:
         joints = model.joints.replace(armature=jnp.asarray(armature), damping=jnp.asarray(damping))

@@ -79,6 +79,6 @@ def guess(seed: int) -> rb.Model:
     p[2:4] *= 1 + rng.uniform(-0.2, 0.2, 2)
     p[4:] *= np.exp(rng.uniform(-0.7, 0.7, 4))
     with warnings.catch_warnings(action="ignore"):  # the file's friction loss is replaced below
-        model = rb.load(text(p))
+        model = rb.load(text(p), contacts=False)
     dry = rb.forces.JointFriction.of(model, model.joint_names, coulomb=p[6:], smoothing=SMOOTHING)
     return model.with_forces(dry)
