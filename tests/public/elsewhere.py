@@ -66,6 +66,7 @@ ELSEWHERE: dict[str, set[str]] = {
     # within rbjax: arithmetic on single numbers, parts of a model, the compiler
     "lanes": {"add", "as_arrays", "batch_first", "batch_last", "elimination_order",
               "fusion_barrier", "horner", "inner", "inverse", "is_literal", "is_zero", "ldlt",
+              "lu",
               "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "pack",
               "polynomial_sincos", "quaternion_matrix", "rotation_z", "sincos", "sub", "total",
               "unpack"},
