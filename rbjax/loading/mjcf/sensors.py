@@ -134,9 +134,9 @@ def _projection(m: mujoco.MjModel, i: int) -> tuple:
     """Return the camera, the site, and the focal lengths and the resolution in pixels."""
     camera = int(m.sensor_refid[i])
     width, height = m.cam_resolution[camera].tolist()
-    size = m.cam_sensorsize[camera].astype(float)
-    if size.all():
-        fx, fy = m.cam_intrinsic[camera, :2].astype(float) / size * (width, height)
+    size = m.cam_sensorsize[camera]
+    if size.all():  # the single precision of MuJoCo's product
+        fx, fy = m.cam_intrinsic[camera, :2] / size * np.float32([width, height])
     else:
         fx = fy = 0.5 * height / np.tan(np.radians(m.cam_fovy[camera]) / 2)
     focal = (float(fx), float(fy))

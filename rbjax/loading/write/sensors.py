@@ -136,15 +136,23 @@ def _rangefinder(draft: Draft, sensor: Any) -> dict[str, str]:
 
 
 def _camera(draft: Draft, sensor: Any) -> dict[str, str]:
-    """Add a camera with the focal lengths of the sensor, one unit a pixel."""
+    """Add a camera with the angle of view of the sensor, or its focal lengths in pixels.
+
+    MuJoCo keeps focal lengths in single precision, but the angle of view in double precision.
+    """
     body, placed = frame_transform(draft.model, named_frame(draft.model, sensor.frame), np.float64)
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.array([float(x) for x in placed.R]))
     name = unique(["camera"], [x.get("name", "") for x in draft.world.iter("camera")])[0]
-    size = text(np.array(sensor.resolution))
+    size, (fx, fy) = text(np.array(sensor.resolution)), sensor.focal
+    if fx == fy:
+        fovy = 2 * np.degrees(np.arctan(0.5 * sensor.resolution[1] / fy))
+        lens = {"fovy": text(np.array([fovy]))}
+    else:
+        lens = {"sensorsize": size, "focal": text(np.array(sensor.focal))}
     draft.add(
         body, "camera", name=name, pos=text(np.array([float(x) for x in placed.p])),
-        quat=text(quat), resolution=size, sensorsize=size, focal=text(np.array(sensor.focal)),
+        quat=text(quat), resolution=size, **lens,
     )  # fmt: skip
     return {"site": _site(draft, sensor.seen), "camera": name}
 
