@@ -41,8 +41,8 @@ from rbjax.dynamics.algorithms.energy import (
 from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.slopes import Slope, matrix
-from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_zero, mul
+from rbjax.forces.slopes import Slope
+from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_zero, mul, total
 from rbjax.model import State, Topology, spans
 from rbjax.motion.field import Field
 from rbjax.rotations.coefficients import stumpff
@@ -80,7 +80,8 @@ class VariationalMidpoint:
         model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
         p0, half = momentum(model, q0, v0), dt / 2
         middle = field.retract(q0, half * v0)
-        extra = implicit_stiffness(field.slopes(t + half, State(middle, v0, x0), u, dt), dt)
+        slopes = field.slopes(t + half, State(middle, v0, x0), u, dt)
+        extra = implicit_stiffness(model.topology, slopes, dt)
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
@@ -120,15 +121,26 @@ class VariationalMidpoint:
 variational_midpoint = VariationalMidpoint()
 
 
-def implicit_stiffness(slopes: Sequence[Slope], h: Any) -> dict[int, Lane]:
-    """Compute h D / 2 + h^2 K / 4 of the forces on single dofs, by dof, where it is positive."""
+def implicit_stiffness(top: Topology, slopes: Sequence[Slope], h: Any) -> dict[int, Lane]:
+    """Compute h D / 2 + h^2 K / 4 of the forces on single joints, by dof, where it is positive.
 
-    def weigh(slope: Slope) -> Lane:
-        own = add(mul(h / 2, slope.damping), mul(h * h / 4, slope.stiffness))
-        return own if is_zero(own) else jnp.maximum(own, 0.0)
-
-    single = [x for x in slopes if len(x.arms) == 1 and x.along is None]
-    return {i: x for (i, _), x in matrix(single, weigh).items()}
+    A force with several moment arms r_i on a joint counts as the diagonal |r_i| sum |r_j|, which is
+    at least r r^T. It is r_i^2 if the other arms are zero.
+    """
+    joints = {at + k: j for j, at in enumerate(top.joint_v) for k in range(top.joints[j].nv)}
+    out: dict[int, Lane] = {}
+    for slope in slopes:
+        arms = {i: jnp.abs(r) for i, r in slope.arms.items() if not is_zero(r)}
+        on = {joints[i] for i in arms}
+        weight = add(mul(h / 2, slope.damping), mul(h * h / 4, slope.stiffness))
+        if is_zero(weight) or len(on) != 1 or slope.along is not None:
+            continue
+        if len(arms) > 1 and any(top.joints[j].quaternion for j in on):
+            continue
+        weight = mul(jnp.maximum(weight, 0.0), total(arms.values()))
+        for i, r in arms.items():
+            out[i] = add(out.get(i, 0.0), mul(r, weight))
+    return out
 
 
 def largest(x: jax.Array) -> jax.Array:

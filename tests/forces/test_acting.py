@@ -30,6 +30,8 @@ def test_slopes_of_a_step() -> None:
         (jnp.array([0.5, 0.0]), {0: spring, 1: servo, 2: 0.0}),
         (jnp.array([9.0, 0.0]), {0: spring, 1: 0.0, 2: 0.0}),
     ):
-        found = implicit_stiffness(slopes(model, 0.0, model.default_state(), ctrl), h)
+        found = implicit_stiffness(
+            model.topology, slopes(model, 0.0, model.default_state(), ctrl), h
+        )
         assert found.keys() == want.keys()
         np.testing.assert_allclose(list(found.values()), list(want.values()), rtol=1e-12)
