@@ -27,7 +27,7 @@ SCENE = """<mujoco><option timestep=".002" cone="{cone}" tolerance="0" iteration
 <geom name="floor" type="plane" size="0 0 1" condim="4"/>
 <body name="box" pos="0 0 .105"><freejoint/><geom name="a" type="box" size=".1 .1 .1" condim="6"/>
   <site name="pad" type="box" size=".12 .02 .3"/></body>
-<body name="base" pos="0 .3 .3"><joint name="lift" type="slide" axis="0 0 1" range="-.05 .5"
+<body name="base" pos="0 .3 .3"><joint name="lift" type="slide" axis="0 0 1" range="-.03 .1"
     limited="true" damping="1"/>
   <geom name="b" type="sphere" size=".03" pos="0 0 .1"/><site name="wrist" pos="0 0 .02"/>
   <body name="arm"><joint name="turn" axis="1 0 0" range="-3 30" limited="true"/>
@@ -36,28 +36,29 @@ SCENE = """<mujoco><option timestep=".002" cone="{cone}" tolerance="0" iteration
 </worldbody><sensor>{sensors}</sensor></mujoco>"""
 OTHERS = """<touch site="pad"/><touch site="tip"/><force site="wrist"/><torque site="wrist"/>
 <force site="tip"/><torque site="tip"/><accelerometer site="tip"/><accelerometer site="pad"/>
-<jointlimitfrc joint="turn"/><jointlimitfrc joint="lift"/>"""
+<jointlimitfrc joint="turn"/><jointlimitfrc joint="lift" name="end"/>"""
 
 
 def compiled(sensors: str, cone: str = "elliptic") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(SCENE.format(cone=cone, sensors=sensors))
 
 
-def moved(m: mujoco.MjModel, steps: int) -> mujoco.MjData:
+def moved(m: mujoco.MjModel, steps: int, lift: float = -1.0) -> mujoco.MjData:
     d = mujoco.MjData(m)
-    d.qvel[:] = [0.3, 0.1, 0, 0.2, 0.1, 0.5, -1.0, 0.5]
+    d.qvel[:] = [0.3, 0.1, 0, 0.2, 0.1, 0.5, lift, 0.5]
     for _ in range(steps):
         mujoco.mj_step(m, d)
     mujoco.mj_forward(m, d)
     return d
 
 
-def check(m: mujoco.MjModel, *, steps: tuple[int, ...]) -> list[mujoco.MjData]:
+def check(m: mujoco.MjModel, *, steps: tuple[int, ...], lift: float = -1.0) -> list[mujoco.MjData]:
+    """Compare all sensors after steps from a velocity of the slide joint, and return the data."""
     model, data = rb.load(m, contacts=True), []
     assert not any("sensor" in x for x in model.dropped)
     run = jax.jit(rb.threads(lambda q, v: rb.sense(model, rb.State(q, v))))
     for n in steps:
-        data.append(d := moved(m, n))
+        data.append(d := moved(m, n, lift))
         found = np.asarray(run(d.qpos, d.qvel))
         for i in range(m.nsensor):
             at = slice(m.sensor_adr[i], m.sensor_adr[i] + m.sensor_dim[i])
@@ -83,9 +84,11 @@ def test_contact_sensors_read_as_mujoco() -> None:
 def test_touch_force_and_limit_sensors_read_as_mujoco(cone: str) -> None:
     """Touch, force and torque, accelerometers, and both ends of limits."""
     m = compiled(OTHERS, cone)
-    data = check(m, steps=(20, 80, 300))
+    data = check(m, steps=(20, 80, 300)) + check(m, steps=(30, 80), lift=3.0)
     sums = np.abs([d.sensordata for d in data]).sum(0)
-    assert (sums[m.sensor_adr] > 1e-3).all()
+    assert (np.maximum.reduceat(sums, m.sensor_adr) > 1e-3).all()
+    ends = [d.joint("lift").qpos[0] > 0 for d in data if d.sensor("end").data[0] > 1e-3]
+    assert any(ends) and not all(ends)
 
 
 #: a bar on the floor that a connect and a weld hold, and a lever with a tendon at its limit

@@ -31,7 +31,7 @@ def test_it_is_the_rollout():
 def test_a_delay_of_whole_periods_shifts_commands():
     late = jax.jit(lambda d: moved(d, longest=4))
     shifted = jnp.concatenate([CTRLS[:1]] * 3 + [CTRLS[:-3]])
-    want = jax.jit(lambda: moved(ctrl=shifted))()
+    want = jax.jit(lambda: moved(ctrls=shifted))()
     np.testing.assert_allclose(late(3 * T).q, want.q, atol=1e-13)
     np.testing.assert_allclose(late(0.0).q, jax.jit(moved)().q, atol=1e-13)
 
