@@ -104,9 +104,12 @@ class Field:
             v = state.v + dt * self._acceleration(t, state, tau, f_ext)
             return v, x, state.memory, v
         given = self._model_of_dynamics, t, state, tau, f_ext, dt
-        v, memory, *mean = self.dynamics.advance_velocity(*given)
+        v, memory, *others = self.dynamics.advance_velocity(*given)
         v = self._checked("velocity", v, state)
-        return v, x, memory, self._checked("mean velocity", *mean, state) if mean else v
+        if not others:
+            return v, x, memory, v
+        (mean,) = others
+        return v, x, memory, self._checked("mean velocity", mean, state)
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute M a (nv,) of free motion, x (nx,) after a step dt, and the memory."""
