@@ -134,7 +134,8 @@ class Assembly:
         return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
 
     def _world(self) -> World:
-        own, rows = self.model.geoms, []
+        own: Any = self.model.geoms
+        rows = []
         for g, link in self.touching.of_geom.items():
             fixed = Transform(Mat3.identity(), Vec3.zero())
             weld = fixed if own.bodies[g] == WORLD else self.d.prepared.weld(own.bodies[g])
@@ -153,8 +154,7 @@ class Assembly:
         else:
             twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in moving]
         moved = stacked([*twists, [0.0] * 6], dtype)
-        heights = self.model.geoms.heights  # type: ignore[union-attr]
-        return World(stacked(rows, dtype), moved, poses, heights)
+        return World(stacked(rows, dtype), moved, poses, own.heights)
 
     @cached_property
     def _weights(self) -> tuple[Any, Any]:

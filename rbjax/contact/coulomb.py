@@ -123,16 +123,16 @@ class CoulombContact:
             change = _linear_solver(problem, found.solution)
             return (found.solution.x, _memory_of_slots(problem, found)), [change, lambda b: b]
 
-        def equation(*at: Any) -> jax.Array:
-            *at, a = at
+        def equation(*at_and_a: Any) -> jax.Array:
+            *at, a = at_and_a
             assembly, problem = problem_at(*at)
             _, f_ext, *_ = rebuilt(at[0])
             tau, d = at[3], assembly.d
             pushes = pack(problem.constraint_forces(a), tau)
             return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
-        def remembered(*at: Any) -> jax.Array:
-            *at, a, memory = at
+        def remembered(*at_and_after: Any) -> jax.Array:
+            *at, a, memory = at_and_after
             _, problem = problem_at(*at)
             return _memory_of_candidates(problem, a, memory) - memory
 
@@ -170,8 +170,10 @@ def _detected(problem: Problem) -> Problem:
     """Return the problem with its active contacts."""
     world, slots = problem.touching, list[Any]()
     for contacts in problem.sets:
-        disc = isinstance(contacts, DiscSet)
-        slots.append(contacts.collect(world) if disc else Slots.collect(contacts, world))
+        if isinstance(contacts, DiscSet):
+            slots.append(contacts.collect(world))
+        else:
+            slots.append(Slots.collect(contacts, world))
     return dataclasses.replace(problem, slots=slots)
 
 
@@ -187,10 +189,10 @@ def _residual(r: jax.Array, k: Any) -> list[Any]:
 
 def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
     """Return the problem with other latched forces."""
-    given = iter(latches)
+    given, old = iter(latches), list[Any](problem.slots)
     slots = [
         s._replace(latches=next(given)) if isinstance(x, DiscSet) else s
-        for x, s in zip(problem.sets, problem.slots, strict=True)
+        for x, s in zip(problem.sets, old, strict=True)
     ]
     return dataclasses.replace(problem, slots=slots)
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from rbjax.contact.rows.tendon_weights import tendon_weights
 from rbjax.dynamics.algorithms.aba import factorize
-from rbjax.dynamics.drivers.choice import Driver, Rolled
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.rolled import Rolled
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion

@@ -31,7 +31,7 @@ from rbjax.contact.contact_rows import ContactSet, Row, World
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total
-from rbjax.spatial import Motion
+from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 #: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
 NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
@@ -111,9 +111,17 @@ class DiscRow(NamedTuple):
     frame: list[Vec3]
     latch: Lane | None = None
 
-    along = Row.along
-    wrench = Row.wrench
-    stiffness = Row.stiffness
+    def along(self: Any, y: Motion) -> list[Lane]:
+        """Compute b_k . y for each row."""
+        return Row.along(self, y)
+
+    def wrench(self: Any, f: Sequence[Lane]) -> Force:
+        """Compute the wrench sum of b_k f_k."""
+        return Row.wrench(self, f)
+
+    def stiffness(self: Any, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
+        """Compute the sum of b_k H_kl b_l^T, from the lower triangle of H."""
+        return Row.stiffness(self, H)
 
 
 class DiscSlots(NamedTuple):

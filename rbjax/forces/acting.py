@@ -167,8 +167,11 @@ def slopes(
         own = element.slopes(seen)
         at = element.joint if isinstance(element, Actuator) else -1
         if at in free:
-            inside = free[at]
-            own = [x.scaled(lambda y, inside=inside: jnp.where(inside, y, 0.0)) for x in own]
+
+            def kept(y: Lane, inside: Lane = free[at]) -> Lane:
+                return jnp.where(inside, y, 0.0)
+
+            own = [x.scaled(kept) for x in own]
         out += own
     return out
 

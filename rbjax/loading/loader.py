@@ -159,7 +159,7 @@ def load(
         warnings.warn(text, stacklevel=2)
     with jax.ensure_compile_time_eval():  # numbers of a file are constants in jit too
         model = from_compiled(compiled, dropped, **taken, compliant=compliant)
-        couplings = mimics.couplings if constraints else ()
+        couplings: tuple[Any, ...] = mimics.couplings if constraints else ()
         if model.contact is not None:
             couplings = tuple(soft_mimic(compiled, one) for one in couplings)
     model = model.with_constraints(*couplings)

@@ -21,7 +21,7 @@ from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
-from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at, momentum
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, slopes, within
@@ -104,19 +104,23 @@ class Field:
             v = state.v + dt * self._acceleration(t, state, tau, f_ext)
             return v, x, state.memory, v
         given = self._model_of_dynamics, t, state, tau, f_ext, dt
-        v, memory, *mean = self.dynamics.advance_velocity(*given)
+        v, memory, *others = self.dynamics.advance_velocity(*given)
         v = self._checked("velocity", v, state)
-        return v, x, memory, self._checked("mean velocity", *mean, state) if mean else v
+        if not others:
+            return v, x, memory, v
+        (mean,) = others
+        return v, x, memory, self._checked("mean velocity", mean, state)
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
-        """Compute M a (nv,) with the acceleration a, x (nx,) after a step dt, and the memory."""
+        """Compute M a (nv,) of free motion, x (nx,) after a step dt, and the memory."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
-        if self.dynamics is free_motion:
-            at_rest = jnp.zeros_like(state.v)
-            bias = forces_at(self.precomputed, state.q, state.v, at_rest, f_ext)
-            return tau - bias, x, state.memory
-        a = self._acceleration(t, state, tau, f_ext)
-        return momentum(self.precomputed, state.q, a), x, state.memory
+        bias = forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
+        return tau - bias, x, state.memory
+
+    def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
+        """Compute the acceleration (nv,), x (nx,) after a step dt, and the memory."""
+        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
+        return self._acceleration(t, state, tau, f_ext), x, state.memory
 
     def applied(self, t: Any, state: State, u: Inputs) -> tuple:
         """Compute the applied generalized forces (nv,), forces on links, and x' (nx,)."""

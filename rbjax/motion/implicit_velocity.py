@@ -20,6 +20,8 @@ from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.algorithms.derivatives import bias_derivative
 from rbjax.dynamics.algorithms.energy import velocity_of
@@ -27,9 +29,9 @@ from rbjax.errors import InputError
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import matrix
-from rbjax.lanes import Lane, add, mul
+from rbjax.lanes import Lane, add, mul, pack
 from rbjax.model import WORLD, State, Topology
-from rbjax.motion.field import Field
+from rbjax.motion.field import Field, free_motion
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,17 @@ class ImplicitVelocity:
                 "are known, so the constraints of the model would not hold; expected "
                 "'semi_implicit_euler', or 'variational_midpoint' for stiff dampers"
             )
-        force, x, memory = field.inertial_force(t, state, u, dt)
-        entries = {
-            at: mul(dt, d) for at, d in self._damping(field, t, state, u, dt).items()
-        }  # fmt: skip
-        v = state.v + dt * velocity_of(field.precomputed, state.q, force, entries)
+        model, q = field.precomputed, state.q
+        damping = self._damping(field, t, state, u, dt)
+        entries = {at: mul(dt, d) for at, d in damping.items()}
+        if field.dynamics is free_motion:
+            force, x, memory = field.inertial_force(t, state, u, dt)
+            a = velocity_of(model, q, force, entries)
+        else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
+            a, x, memory = field.acceleration(t, state, u, dt)
+            if entries:
+                a = a - velocity_of(model, q, _product(entries, a), entries)
+        v = state.v + dt * a
         return State(field.retract(state.q, dt * v), v, x, memory)
 
     def _damping(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> dict:
@@ -74,6 +82,14 @@ class ImplicitVelocity:
         if self.name == "implicit":
             return range(top.nv)
         return floating(top) if self.name == "implicitfast" else ()
+
+
+def _product(entries: dict[tuple[int, int], Lane], a: jax.Array) -> jax.Array:
+    """Compute the product of a matrix and a vector (nv,)."""
+    out: list[Lane] = [0.0] * len(a)
+    for (i, j), x in entries.items():
+        out[i] = add(out[i], mul(x, a[j]))
+    return pack(out, a)
 
 
 def floating(top: Topology) -> set[int]:

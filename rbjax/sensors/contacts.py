@@ -76,7 +76,8 @@ class ContactSensor(FixedSensor):
         integer("ContactSensor", "num", self.num, least=1)
         if self.reduce not in REDUCTIONS:
             raise UnknownName("reduction of a contact sensor", self.reduce, REDUCTIONS)
-        if isinstance(self.data, str) or not self.data:
+        data: Any = self.data
+        if isinstance(data, str) or not data:
             raise InputError(
                 f"ContactSensor: data is {self.data!r}, expected a tuple of some of {list(DATA)}"
             )
@@ -179,7 +180,7 @@ class ContactSensor(FixedSensor):
         self, values: dict[str, jax.Array], active: jax.Array, count: jax.Array
     ) -> list[dict[str, jax.Array]]:
         """Return the data of each slot."""
-        before = np.tri(len(active), k=-1, dtype=bool)  # whether contact j is before contact i
+        before: Any = np.tri(len(active), k=-1, dtype=bool)  # whether contact j is before contact i
         if self.reduce != "none":
             key = values["dist"][:, 0]
             if self.reduce == "maxforce":

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.lanes import Mat3, Vec3
 from rbjax.model import State
-from tests.tolerances import F64_PARITY, relative_error
+from rbjax.spatial import Transform
+from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*left out of the model")
 
@@ -162,6 +164,27 @@ def test_derivative_of_a_step(integrator: str) -> None:
     back = jax.jit(lambda at: jax.vjp(f, *at)[1](w))(at)
     both = sum(jnp.vdot(x, y) for x, y in zip(back, to, strict=True))
     assert relative_error(both, jnp.vdot(w, rate)) < 1e-10
+
+
+class Parabola(rb.joints.Node):
+    name, coordinates = "implicit_parabola", 1
+
+    def pose(self, q, params):
+        return Transform(Mat3.identity(), Vec3(q[0], 0.0, q[0] * q[0]))
+
+
+def test_bias_of_a_joint_whose_axis_moves() -> None:
+    """A bead on z = x^2: M = m (1 + 4 q^2), b = 4 m q v^2 + 2 m g q, db/dv = 8 m q v."""
+    rb.joints.register(Parabola())
+    text = '<body><joint name="j" type="slide"/><geom size=".1" mass="2"/></body>'
+    given = f'<mujoco><option gravity="0 0 -9"/><worldbody>{text}</worldbody></mujoco>'
+    model = rb.load(given).with_joint("j", "implicit_parabola")
+    q, v, h, m = 0.4, 1.5, 0.01, 2.0
+    state = State(jnp.array([q]), jnp.array([v]))
+    found = rb.step(model, state, dt=h, integrator="implicit")
+    inertia = m * (1 + 4 * q * q) + h * 8 * m * q * v
+    expected = v - h * (4 * m * q * v * v + 2 * m * 9 * q) / inertia
+    np.testing.assert_allclose(found.v, [expected], rtol=F64_ROUNDING)
 
 
 def test_not_with_rigid_constraints() -> None:

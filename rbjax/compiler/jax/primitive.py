@@ -105,16 +105,36 @@ def _remaining_axis(axes: Axes, level: int) -> int | None:
     return None if axis is None else axis - sum(a is not None and a < axis for a in axes[:level])
 
 
-def under_xla(*operands, program, batch, ins, outs):
-    """Evaluate a program for a batch under XLA, by `vmap` of the traced function."""
+def under_xla(*operands, program, batch, ins, outs, each=jax.vmap):
+    """Evaluate a program for a batch under XLA, by `vmap` of the traced function.
+
+    each: function (f, in_axes) that maps f over a batch.
+    """
     f: Callable = program
     for level in reversed(range(len(batch))):
         axes = [_remaining_axis(a, level) for a in ins]
         if all(a is None for a in axes):  # no operand has this axis
             f = functools.partial(_repeated, f, batch[level])
         else:
-            f = jax.vmap(f, in_axes=axes)
+            f = each(f, in_axes=axes)
     return [place_batch(x, axes) for x, axes in zip(f(*operands), outs, strict=True)]
+
+
+def _one_by_one(f: Callable, in_axes: Sequence[int | None]) -> Callable:
+    """Map f over a batch like `vmap`, in a loop over the samples. Samples may then take different
+    numbers of iterations of a `while`."""
+
+    def run(*args: jax.Array) -> list[jax.Array]:
+        moved = [jnp.moveaxis(x, a, 0) for x, a in zip(args, in_axes, strict=True) if a is not None]
+
+        def one(rows: list[jax.Array]) -> list[jax.Array]:
+            own = iter(rows)
+            given = zip(args, in_axes, strict=True)
+            return f(*(x if a is None else next(own) for x, a in given))
+
+        return jax.lax.map(one, moved)
+
+    return run
 
 
 def _repeated(f: Callable, size: int, *args: jax.Array) -> list[jax.Array]:
@@ -232,7 +252,7 @@ def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
     """Lower a program inside another program. A batch of it becomes a loop."""
     if not eqn.params["batch"]:
         return low.closed(eqn.params["program"].closed, ins)
-    f = functools.partial(under_xla, **eqn.params)
+    f = functools.partial(under_xla, **eqn.params, each=_one_by_one)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 
 

@@ -27,6 +27,8 @@ from rbjax.model.record import Record
 
 #: pairs of geoms by index
 Pairs = tuple[tuple[int, int], ...]
+#: distance, position, frame and existence of candidates
+_Found = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 class Contacts(Record):
@@ -106,7 +108,7 @@ def pairs() -> tuple[tuple[str, str], ...]:
 
 
 def _detect(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contacts:
-    found = threads(functools.partial(_candidates, pairs=pairs))(model, q, reach)
+    found: _Found = threads(functools.partial(_candidates, pairs=pairs))(model, q, reach)
     return Contacts(*found, _geoms_of_candidates(model, pairs))
 
 
@@ -116,14 +118,16 @@ _program = jitted(_detect, static_argnames=("pairs",))
 
 def contacts_at(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> Contacts:
     """Compute the candidate contacts of pairs of geoms in traced code; arguments as in `detect`."""
-    return Contacts(*_candidates(model, q, reach, pairs), _geoms_of_candidates(model, pairs))
+    found = _candidates(model, q, reach, pairs)
+    return Contacts(*found, _geoms_of_candidates(model, pairs))
 
 
 def _geoms_of_candidates(model: Model, pairs: Pairs) -> Pairs:
-    return tuple(pairs[i] for i in pairs_of_candidates(model.geoms, pairs))
+    geoms: Any = model.geoms
+    return tuple(pairs[i] for i in pairs_of_candidates(geoms, pairs))
 
 
-def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> tuple:
+def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> _Found:
     """Return distance, position, frame and existence of the candidates of all pairs."""
     geoms: Any = model.geoms
     if not pairs:
@@ -149,7 +153,8 @@ def _candidates(model: Model, q: jax.Array, reach: Any, pairs: Pairs) -> tuple:
         columns = jax.vmap(of_pair)(a, b, reaches[jnp.asarray(members)])
         found |= {pair: tuple(x[i] for x in columns) for i, pair in enumerate(members)}
     rows = [found[i] for i in range(len(pairs))]
-    return tuple(jnp.concatenate(x) for x in zip(*rows, strict=True))
+    distance, position, frame, exists = map(jnp.concatenate, zip(*rows, strict=True))
+    return distance, position, frame, exists
 
 
 def _columns(

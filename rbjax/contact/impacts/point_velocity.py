@@ -83,12 +83,14 @@ def coefficients(
     x = floating_array(
         where, name, given, lambda s: s in ((), (len(pairs),)), f"() or ({len(pairs)},), a pair"
     ).astype(dtype)
-    index = pairs_of_candidates(model.geoms, pairs)
+    geoms: Any = model.geoms
+    index = pairs_of_candidates(geoms, pairs)
     return jnp.broadcast_to(x, (len(pairs),))[np.array(index, int)]
 
 
 def file_friction(model: Model, pairs: Pairs, dtype: Any) -> jax.Array:
     """Return the sliding friction of each pair in the file; zero if its condim is 1."""
-    found = pair_parameters(model.geoms, pairs)
+    geoms: Any = model.geoms
+    found = pair_parameters(geoms, pairs)
     mu = jnp.asarray(found.friction[:, 0], dtype)
     return jnp.where(np.array(found.condim) == 1, 0, mu)

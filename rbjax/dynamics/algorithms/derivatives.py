@@ -103,7 +103,7 @@ def bias_derivative(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     if not model.topology.constant_axes:
 
         def bias(v: jax.Array) -> jax.Array:
-            return forces_at(model, q, v, jnp.zeros_like(v))
+            return forces_at(model, q, v, jnp.zeros_like(v), {})
 
         return jax.jacfwd(bias)(v)
     d = driver(model, q.dtype)
@@ -111,7 +111,8 @@ def bias_derivative(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     poses = tree_poses(d, joints)
     S = link_axes(d, poses, joints)
     x = whole_operands(d, poses, S, v, d.lanes(None))
-    return pair_matrix(d, *inverse_pairs(S, x)[1], v)
+    above, below = inverse_pairs(S, x)[1]
+    return pair_matrix(d, above, below, v)
 
 
 @algorithm("q", "v", "tau", pairs=True, multi_kernel=_forward_in_kernels)

@@ -188,7 +188,7 @@ class Actuator(Element):
         """Compute the stiffness and damping of the force. They are zero if the force is at a limit
         of its range."""
         seen = self._signals(context)
-        slopes = self.law.slopes(seen)
+        slopes: tuple[Lane, ...] = self.law.slopes(seen)
         if not all(map(is_zero, slopes)):
             scale = context.scales.get(self.tendon, 1.0)
             force, limits = self.law.force(seen), table(self.forcerange, seen.dtype)[None]

@@ -106,8 +106,8 @@ def soft_mimic(m: mujoco.MjModel, one: JointPolynomial) -> Soft:
     """Make a mimic soft, with the default parameters of MuJoCo's equalities."""
     names = [x for x in (one.joint, one.driver) if x is not None]
     ends = [m.joint(x).id for x in names]
-    return Soft(one, leaf(safe_solref(m, SOLREF)), leaf(SOLIMP), leaf(_weight_of_joints(m, ends)),
-                bias=False)  # fmt: skip
+    solref, weight = safe_solref(m, np.array(SOLREF)), _weight_of_joints(m, ends)
+    return Soft(one, leaf(solref), leaf(SOLIMP), leaf(weight), bias=False)
 
 
 def _weight_of_joints(m: mujoco.MjModel, joints: Any) -> np.ndarray:

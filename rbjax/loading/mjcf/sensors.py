@@ -190,7 +190,8 @@ def _tendon_actuators(m: mujoco.MjModel, i: int) -> tuple:
 
 def _contact(m: mujoco.MjModel, i: int) -> tuple:
     spec, reduce, num = m.sensor_intprm[i, :3].tolist()
-    parts, volume = [], sensors.Volume("sphere", (0.005,))
+    parts: list[str | tuple[str, Any] | None] = []
+    volume = sensors.Volume("sphere", (0.005,))
     for kind, which in (
         (m.sensor_objtype[i], m.sensor_objid[i]), (m.sensor_reftype[i], m.sensor_refid[i])
     ):  # fmt: skip
