@@ -136,11 +136,11 @@ def _projection(m: mujoco.MjModel, i: int) -> tuple:
     width, height = m.cam_resolution[camera].tolist()
     size = m.cam_sensorsize[camera]
     if size.all():  # the single precision of MuJoCo's product
-        fx, fy = m.cam_intrinsic[camera, :2] / size * np.float32([width, height])
+        focal = m.cam_intrinsic[camera, :2] / size * np.array([width, height], np.float32)
     else:
-        fx = fy = 0.5 * height / np.tan(np.radians(m.cam_fovy[camera]) / 2)
-    focal = (float(fx), float(fy))
-    return _frame_of(m, _OBJECT.CAMERA, camera), *_frame(m, i), focal, (width, height)
+        focal = np.full(2, 0.5 * height / np.tan(np.radians(m.cam_fovy[camera]) / 2))
+    lengths = tuple(focal.tolist())
+    return _frame_of(m, _OBJECT.CAMERA, camera), *_frame(m, i), lengths, (width, height)
 
 
 def _rangefinder(m: mujoco.MjModel, i: int) -> tuple:
