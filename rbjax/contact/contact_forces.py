@@ -46,6 +46,11 @@ class ContactForces(Record):
     force: jax.Array
     geoms: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
+    @property
+    def world_force(self) -> jax.Array:
+        """The forces (..., n, 3) of the first geoms on the second ones, N, in world axes."""
+        return (self.frame.swapaxes(-1, -2) * self.force[..., None, :3]).sum(-1)
+
     def normal(self, row: int) -> Vec3:
         """Return the normal of a contact, from its first geom to its second, in world axes."""
         return Vec3(*(self.frame[row, 0, k] for k in range(3)))
@@ -109,16 +114,16 @@ def rows_of_candidates(
     for contacts in problem.sets:
 
         def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
-            k, rows, wrenches = carry
+            (rows, wrenches), k = carry, row.candidate
             f = of.cone(row).response(residual(of, row, twists)).f
             f = [jnp.where(active, x, 0.0) for x in f]
             values = _row(place_of(row.contact), origin, f, rows[0])
             values = jnp.where(row.contact.exists, values, rows[k])
             wrenches = of.add_wrench(row, wrenches, row.wrench(f))
-            return k + 1, rows.at[k].set(values), wrenches
+            return rows.at[k].set(values), wrenches
 
-        start = jnp.int32(0), _no_contacts(contacts, problem.dtype), wrenches
-        _, rows, wrenches = contacts.scan(problem.touching, store, start)
+        start = _no_contacts(contacts, problem.dtype), wrenches
+        rows, wrenches = contacts.scan(problem.touching, store, start)
         found.append(rows)
     return _joined(found, problem.dtype), _generalized(problem, wrenches)
 

@@ -221,14 +221,18 @@ class ContactSet:
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Row:
         """Compute the rows of a contact. If it is not active, D is 0."""
-        e, p = contact_frame(contact.normal, contact.tangent), contact.position
-        margin = self._lane(self.parameters.margin, pair)
-        axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        row = Row(pair, self._in_link(world, axes[: self.dim], pair), 0.0, [], contact, candidate)
+        margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
+        row = Row(pair, axes, 0.0, [], contact, candidate)
         v = row.along(self.relative(row, world.twists))
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
+
+    def axes(self, world: World, contact: Contact, pair: Any) -> list[Motion]:
+        """Compute the axes b_k of the rows of a contact."""
+        e, p = contact_frame(contact.normal, contact.tangent), contact.position
+        every = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
+        return self._in_link(world, every[: self.dim], pair)
 
     def _in_link(self, world: World, axes: list[Motion], pair: Any) -> list[Motion]:
         """Transform axes to the link that touches the world, if all contacts are with the world."""

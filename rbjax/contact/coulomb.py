@@ -240,7 +240,8 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
     def coupled(y: jax.Array) -> jax.Array:
         moving = tree.twists(y, dtype)
         wrenches = jnp.zeros((len(tree.touching) + 1, 6), dtype)
-        for contacts, slots, r in _discs(problem, solution.residuals):
+        for contacts, slots, residuals in _discs(problem, solution.residuals):
+            r = slots.used(residuals)
 
             def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
                 row = slots.row(k, of.dim)

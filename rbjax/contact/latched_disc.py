@@ -27,10 +27,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.cones import TINY, Response
-from rbjax.contact.contact_rows import ContactSet, Row, World
+from rbjax.contact.contact_rows import ContactSet, Found, Row, World
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Vec3, mul, pack, total
+from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 #: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
@@ -128,36 +128,35 @@ class DiscSlots(NamedTuple):
     """The active contacts of a set, in consecutive slots.
 
     Fields:
-        length: the number of active contacts.
+        found: the contacts.
         rows: (n, 7 dim + 1) axes, D and reference accelerations, as in `Slots`.
-        bristles: (n, dim + 8) bristle and axes of the contact.
-        pairs, candidates: (n,) the pair of geoms and the candidate of each slot.
+        bristles: (n, dim - 1) bristle of each contact.
         latches: (n,) the latched normal forces.
     """
 
-    length: jax.Array
+    found: Found
     rows: jax.Array
     bristles: jax.Array
-    pairs: jax.Array
-    candidates: jax.Array
     latches: jax.Array
 
     def row(self, k: Any, dim: int) -> DiscRow:
         """Return the row of a slot."""
-        x, y = (
-            [table[k, i] for i in range(table.shape[1])] for table in (self.rows, self.bristles)
-        )
+        x, found, contact = unpack(self.rows[k]), self.found, self.found.contact(k)
         axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
-        s, e = y[: dim - 1], y[dim - 1 :]
-        frame = [Vec3(*e[3 * i : 3 * i + 3]) for i in range(3)]
+        frame = list(contact_frame(contact.normal, contact.tangent))
         return DiscRow(
-            self.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], self.candidates[k], s, frame,
-            self.latches[k],
+            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], found.candidates[k],
+            unpack(self.bristles[k]), frame, self.latches[k],
         )  # fmt: skip
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the active slots."""
-        return jax.lax.fori_loop(0, self.length, step, carry)
+        return self.found.fold(step, carry)
+
+    def used(self, values: jax.Array) -> jax.Array:
+        """Return values (n, ...) of slots with zeros for slots without a contact."""
+        here = jnp.arange(len(values)) < self.found.length
+        return jnp.where(here.reshape(-1, *(1,) * (values.ndim - 1)), values, 0.0)
 
     def scan(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over all slots, in a loop that can be transposed. Slots
@@ -196,10 +195,8 @@ class DiscSet(ContactSet):
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
         """Compute the rows of a contact. If it is not active, D is 0."""
-        margin = self._lane(self.parameters.margin, pair)
-        e, p = contact_frame(contact.normal, contact.tangent), contact.position
-        axes = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        axes = self._in_link(world, axes[: self.dim], pair)
+        margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
+        e = contact_frame(contact.normal, contact.tangent)
         memory = self.memory[candidate]
         s = [x.dot(Vec3(*(memory[i] for i in range(1, 4)))) for x in e[1:]]
         if self.dim > 3:
@@ -227,13 +224,13 @@ class DiscSet(ContactSet):
             row: Any = self.row_of_found(world, found, k)
             lanes = [x for axis in row.axes for x in axis]
             values = pack([*lanes, row.D, *row.reference], latches)
-            bristle = pack([*row.bristle, *(x for e in row.frame for x in e)], latches)
+            bristle = pack(row.bristle, latches)
             latch = self.memory[row.candidate, NORMAL]
             return rows.at[k].set(values), bristles.at[k].set(bristle), latches.at[k].set(latch)
 
-        none = tuple(jnp.zeros(x, dtype) for x in ((n, m), (n, self.dim + 8), (n,)))
+        none = tuple(jnp.zeros(x, dtype) for x in ((n, m), (n, self.dim - 1), (n,)))
         rows, bristles, latches = found.fold(compute, none)
-        return DiscSlots(found.length, rows, bristles, found.pairs, found.candidates, latches)
+        return DiscSlots(found, rows, bristles, latches)
 
     def next_memory(self, row: Any, r: Sequence[Lane], active: Any) -> jax.Array:
         """Compute the memory of a candidate after a step, from its residual at the solution.

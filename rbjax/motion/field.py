@@ -230,14 +230,9 @@ def dynamics_of(
                 "law solves contacts and soft constraints together; leave constraints out, or "
                 "leave contacts out by model.replace(contact=None)"
             )
-        if law is not None:
-            if constraints is not None:
-                raise InputError(
-                    f"{where}: got constraints={constraints!r}, and the contact law {law!r} of the "
-                    "model solves its constraints too; give none, or load(contacts=False)"
-                )
-            return law_of(where, model, law)
-        return formulation_of(where, model, constraints) or dynamics
+        if law is None:
+            return formulation_of(where, model, constraints) or dynamics
+        dynamics = law_of(where, model, law)
     if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
         if not steps:
             raise InputError(

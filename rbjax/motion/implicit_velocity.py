@@ -20,16 +20,14 @@ from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.algorithms.derivatives import bias_derivative
-from rbjax.dynamics.algorithms.energy import velocity_of
+from rbjax.dynamics.algorithms.energy import product, velocity_of
 from rbjax.errors import InputError
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import matrix
-from rbjax.lanes import Lane, add, mul, pack
+from rbjax.lanes import Lane, add, mul
 from rbjax.model import WORLD, State, Topology
 from rbjax.motion.field import Field, free_motion
 
@@ -61,7 +59,7 @@ class ImplicitVelocity:
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
             a, x, memory = field.acceleration(t, state, u, dt)
             if entries:
-                a = a - velocity_of(model, q, _product(entries, a), entries)
+                a = a - velocity_of(model, q, product(entries, a), entries)
         v = state.v + dt * a
         return State(field.retract(state.q, dt * v), v, x, memory)
 
@@ -82,14 +80,6 @@ class ImplicitVelocity:
         if self.name == "implicit":
             return range(top.nv)
         return floating(top) if self.name == "implicitfast" else ()
-
-
-def _product(entries: dict[tuple[int, int], Lane], a: jax.Array) -> jax.Array:
-    """Compute the product of a matrix and a vector (nv,)."""
-    out: list[Lane] = [0.0] * len(a)
-    for (i, j), x in entries.items():
-        out[i] = add(out[i], mul(x, a[j]))
-    return pack(out, a)
 
 
 def floating(top: Topology) -> set[int]:

@@ -44,11 +44,8 @@ def with_arrows(
             f"{where}: contacts.position has shape {position.shape}, expected {(*lead, 'n', 3)}: "
             "one state" + (" a picture" if ts is None else " for each time of the trajectory")
         )
-    fields = contacts.exists, contacts.position, contacts.frame, contacts.force
-    exists, position, frame, force = (
-        np.asarray(x)[0] if batched else np.asarray(x) for x in fields
-    )
-    world = (frame.swapaxes(-1, -2) * force[..., None, :3]).sum(-1)
+    fields = contacts.exists, contacts.position, contacts.world_force
+    exists, position, world = (np.asarray(x)[0] if batched else np.asarray(x) for x in fields)
     bodies = model.geoms.bodies if model.geoms is not None else ()
     signs = [-1.0 if bodies[second] == WORLD else 1.0 for _, second in contacts.geoms]
     world = world * np.reshape(signs, (-1, 1))

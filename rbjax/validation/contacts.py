@@ -105,14 +105,13 @@ def quantities(
         state, u = State(q, v), ctrl if model.nu else None
         found, after = solve(model, state, u), step(model, state, u)
         own = found.contacts
-        world = (own.frame.swapaxes(-1, -2) * own.force[:, None, :3]).sum(-1)
         of_pair = np.array([[x == pair for x in own.geoms] for pair in pairs], bool)
         of_pair = of_pair.reshape(len(pairs), len(own.geoms))
         return {
             "contacts": (of_pair & own.exists).sum(-1),
             "forward dynamics": found.acceleration,
             "constraint forces": found.constraint,
-            "contact forces": jnp.where(of_pair[:, :, None], world, 0.0).sum(1),
+            "contact forces": jnp.where(of_pair[:, :, None], own.world_force, 0.0).sum(1),
             "one step": jnp.concatenate([after.q, after.v]),
         }, (found.iterations, found.converged)
 

@@ -217,6 +217,14 @@ def momentum_and_rate(
     return d.pack(p, v), d.pack(rate, v)
 
 
+def product(entries: Entries, x: jax.Array) -> jax.Array:
+    """Compute the product of a matrix, given by its entries, and a vector (nv, ...)."""
+    out: list[Lane] = [0.0] * len(x)
+    for (i, j), entry in entries.items():
+        out[i] = add(out[i], mul(entry, x[j]))
+    return pack(out, x)
+
+
 def velocity_of(
     model: Model, q: jax.Array, p: jax.Array, added: Entries | None = None
 ) -> jax.Array:
@@ -256,11 +264,8 @@ def velocity_of(
 
     def residual(changed, q, p, v):
         model, added = rebuilt(changed)
-        found: dict[int, Lane] = {}
-        for (i, j), x in added.items():
-            found[i] = add(found.get(i, 0.0), mul(x, v[j]))
         out = p - momentum(model, q, v)
-        return out - pack([found.get(i, 0.0) for i in range(model.nv)], v) if found else out
+        return out - product(added, v) if added else out
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, p))[0]
 
