@@ -48,7 +48,7 @@ class Disc(NamedTuple):
     Fields:
         D, D_t: the inverse regularization of the normal row and of the first tangent.
         mu: friction coefficients of the other rows.
-        latch: the normal force F, or None for that of the residual.
+        latch: the normal force F; if None, the normal force at the residual.
     """
 
     D: Lane

@@ -19,14 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler import threads
 from rbjax.constraints.formulation import Formulation
-from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.drivers.choice import CPU_UNROLLED_UP_TO
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.forces.acting import applied
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs, Source, evaluated
@@ -133,21 +130,15 @@ def linearise(
         if found is not None:
             after, A, B = found
             return Linear(A, B, (after.v - state.v) / dt)
-    state = with_memory(model, state, dynamics)
+    field, state = Field(model, dynamics, dt), with_memory(model, state, dynamics)
 
-    def advance(now: Any, dx: jax.Array, du: jax.Array) -> State:
-        model, state, given, (t, dt, *_) = now
-        at, field = box_plus(model, state, dx), Field(model, dynamics, dt)
+    def advance(dx: jax.Array, du: jax.Array) -> State:
+        at = box_plus(model, state, dx)
         return advance_state(integrator, field, t, at, _inputs(model, given, t, at, du), dt)
 
-    def change(now: Any, dx: jax.Array, du: jax.Array) -> jax.Array:
-        model, _, _, (_, _, after) = now
-        return box_minus(model, after, advance(now, dx, du))
-
     zero = _zero(model, state, given)
-    after = advance((model, state, given, (t, dt)), *zero)
-    now = model, state, given, (t, dt, after)
-    _, A, B = _with_jacobians(change, now, zero, dynamics)
+    after = advance(*zero)
+    A, B = jax.jacfwd(lambda *d: box_minus(model, after, advance(*d)), (0, 1))(*zero)
     return Linear(A, B, (after.v - state.v) / dt)
 
 
@@ -186,36 +177,15 @@ def _rates(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the rates (nv + nx,) of any dynamics and their derivatives by dx and du (jacfwd)."""
 
-    def rates(now: Any, dx: jax.Array, du: jax.Array) -> jax.Array:
-        model, state, given, t = now
+    def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
         at = box_plus(model, state, dx)
         a, x = Field(model, dynamics).rates(t, at, _inputs(model, given, t, at, du))
-        return a if x is None else jnp.concatenate([a, x])
+        found = a if x is None else jnp.concatenate([a, x])
+        return found, found
 
-    return _with_jacobians(rates, (model, state, given, t), _zero(model, state, given), dynamics)
-
-
-def _with_jacobians(
-    f: Callable, now: Any, zero: tuple[jax.Array, jax.Array], dynamics: Any
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute f(now, dx, du) (m,) at zero and its Jacobians by dx and du.
-
-    With a contact law each direction is a thread: XLA takes minutes to compile the solver.
-    """
-    (dx, du), (_, _, given, _) = zero, now
-    if not isinstance(dynamics, SoftContact) or any(map(callable, given)):
-        both = lambda *d: (f(now, *d),) * 2  # noqa: E731
-        (by_x, by_u), value = jax.jacfwd(both, (0, 1), has_aux=True)(*zero)
-        return value, by_x, by_u
-    changed, rebuilt = split_tracers(now)
-    run = threads(lambda changed, dx, du: f(rebuilt(changed), dx, du))
-
-    def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
-        seeds = e[: dx.size], e[dx.size :]
-        return jax.jvp(lambda *d: run(changed, *d), zero, seeds)
-
-    value, J = jax.vmap(along, out_axes=(None, 1))(jnp.eye(dx.size + du.size, dtype=dx.dtype))
-    return value, J[:, : dx.size], J[:, dx.size :]
+    zero = _zero(model, state, given)
+    (by_x, by_u), found = jax.jacfwd(rates, (0, 1), has_aux=True)(*zero)
+    return found, by_x, by_u
 
 
 def _free_rates(

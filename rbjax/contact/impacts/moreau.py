@@ -3,8 +3,8 @@
     v+ = v + h a_free + W J^T p,    p by `impulse_equations` with u = J (v + h a_free)
     q+ = q (+) h w,   w = v + h a_free / 2 + W J^T r,   r the impulses that move the bodies
 A contact is active if it would close within the step. Its normal velocity after the step is at
-least that of Newton's restitution at the time of impact, or zero. A second problem, of the mean
-velocity w, places the contact at its distance after the rebound, or at zero, and removes the share
+least the velocity by Newton's restitution at the time of impact, or zero. A second problem, of the
+mean velocity w, places the contact at its distance after the rebound, or at zero, and removes the share
 c of a penetration. Friction of a lasting contact is constant over the step. So free fall and slides
 with constant forces have no error, and the derivatives of an impact are those of its saltation
 matrix (`time_of_impact`). Accumulation points and many contacts at once need no events; the order
