@@ -4,10 +4,10 @@
     q+ = q (+) h w,   w = v + h a_free / 2 + W J^T r,   r the impulses that move the bodies
 A contact is active if it would close within the step. Its normal velocity after the step is at
 least the velocity by Newton's restitution at the time of impact, or zero. A second problem, of the
-mean velocity w, places the contact at its distance after the rebound, or at zero, and removes the share
-c of a penetration. Friction of a lasting contact is constant over the step. So free fall and slides
-with constant forces have no error, and the derivatives of an impact are those of its saltation
-matrix (`time_of_impact`). Accumulation points and many contacts at once need no events; the order
+mean velocity w, places the contact at its distance after the rebound, or at zero, and removes the
+share c of a penetration. Friction of a lasting contact is constant over the step. So free fall and
+slides with constant forces have no error, and the derivatives of an impact follow from its
+saltation matrix (`time_of_impact`). Accumulation points and many contacts at once need no events; the order
 is 1.
 
 Source: Moreau, *Unilateral contact and dry friction in finite freedom dynamics*, 1988; Jean, *The
