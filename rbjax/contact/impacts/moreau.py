@@ -7,8 +7,8 @@ least the velocity by Newton's restitution at the time of impact, or zero. A sec
 mean velocity w, places the contact at its distance after the rebound, or at zero, and removes the
 share c of a penetration. Friction of a lasting contact is constant over the step. So free fall and
 slides with constant forces have no error, and the derivatives of an impact follow from its
-saltation matrix (`time_of_impact`). Accumulation points and many contacts at once need no events; the order
-is 1.
+saltation matrix (`time_of_impact`). Accumulation points and many contacts at once need no events;
+the order is 1.
 
 Source: Moreau, *Unilateral contact and dry friction in finite freedom dynamics*, 1988; Jean, *The
 non-smooth contact dynamics method*, 1999; Stewart & Trinkle 1996.
