@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.rows.tendon_weights import armature_entries
 from rbjax.dynamics.algorithms.derivatives import bias_derivative
 from rbjax.dynamics.algorithms.energy import product, velocity_of
 from rbjax.errors import InputError
@@ -59,7 +60,10 @@ class ImplicitVelocity:
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
             a, x, memory = field.acceleration(t, state, u, dt)
             if entries:
-                a = a - velocity_of(model, q, product(entries, a), entries)
+                loss, left = product(entries, a), dict(entries)
+                for at, m in armature_entries(model, q).items():
+                    left[at] = add(left.get(at, 0.0), m)
+                a = a - velocity_of(model, q, loss, left)
         v = state.v + dt * a
         return State(field.retract(state.q, dt * v), v, x, memory)
 
