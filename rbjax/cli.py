@@ -66,9 +66,12 @@ def _options(
 
 @contextlib.contextmanager
 def _progress(*, log: bool = False) -> Iterator[Any]:
-    """Show a spinner with the time on stderr; yield the functions (say, advance).
+    """Show a spinner with the elapsed time on stderr, while a command runs.
 
-    log: whether each step prints a line if stderr is not a terminal.
+    Yield two functions: say(text) sets the text, and advance(done, total) sets the position of the
+    bar.
+
+    log: whether each text is printed as a line if stderr is not a terminal.
     """
     if log and not err.is_terminal:
         begin = time.perf_counter()

@@ -373,7 +373,7 @@ class _NotItsOwn(Exception):
 
 
 class _Still:
-    """The pose and twist of one link, with the interface of `LinkMotion`.
+    """A substitute for `LinkMotion` that has the pose and the twist of one link only.
 
     `on_each` uses it in its loop over the bodies.
     """

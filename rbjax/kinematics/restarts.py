@@ -135,7 +135,11 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """Compile-time settings: iterations of each start, true if joints stay within their ranges."""
+    """Compile-time settings of a search.
+
+    iterations: maximum number of iterations of each start.
+    limits: whether joints stay within their ranges.
+    """
 
     iterations: int
     limits: bool

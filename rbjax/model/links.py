@@ -253,7 +253,9 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _joint_params(top: Topology, given, xp):
-    """Return the joint parameters of each link (nv, most), padded with zeros."""
+    """Return the parameters of each link's joint (nv, m), padded with zeros. m is the largest
+    number of parameters of a joint.
+    """
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last entry is the padding

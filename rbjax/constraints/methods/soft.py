@@ -151,7 +151,9 @@ def is_soft(model: Model) -> bool:
 
 
 def _norm(g: Sequence[Lane]) -> Lane:
-    """Return |g| but for the sign of a single residual, with a zero derivative at g = 0."""
+    """Return the norm |g| of several residuals, with a zero derivative at g = 0. A single residual
+    is returned with its sign.
+    """
     if len(g) == 1:
         return g[0]
     square = inner(g, g)

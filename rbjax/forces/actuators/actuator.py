@@ -84,7 +84,7 @@ class Signals:
 
 
 class _Moved(Signals):
-    """Signals with another length and speed."""
+    """Signals with replaced length and speed, to differentiate a force by them."""
 
     length: Lane = 0.0
     speed: Lane = 0.0

@@ -91,7 +91,7 @@ class OrientationServo(Element):
         return self._nearest([self.activation.within(a) for a in x])
 
     def _nearest(self, phi: list[Lane]) -> list[Lane]:
-        """Compute the shortest rotation vector of the same orientation."""
+        """Compute the rotation vector of the same orientation whose angle is at most pi."""
         angle = norm(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
