@@ -142,7 +142,9 @@ def without_constants(model: Model) -> Model:
 
 
 def _columns(made: Any) -> Prepared:
-    """Rebuild the link constants that `with_constants` has stored."""
+    """Rebuild the `Prepared` link constants from the sparse columns that `with_constants` has
+    stored.
+    """
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),

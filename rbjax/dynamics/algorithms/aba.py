@@ -50,7 +50,13 @@ class VelocityStep(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """The result of the elimination of a joint, which gives qdd = (u - U.a) / D."""
+    """The factors of a joint that ABA has eliminated, which give qdd = (u - U.a) / D.
+
+    X: pose of the link in its parent.
+    S: axis of the joint in link axes.
+    U: I_A S, with I_A the articulated inertia.
+    inverse_D: 1 / D, with D = S.U + armature.
+    """
 
     X: Transform
     S: Motion

@@ -214,7 +214,7 @@ class Rolled(Driver):
         return Parts(ys, rest)
 
     def _scan(self, body: Callable, carry: Any, xs: Any, *, reverse: bool) -> tuple[Any, Any]:
-        """Scan carry, y = body(carry, index, x) over the columns of xs."""
+        """Scan carry, y = body(carry, index, x) over the links, with x from the columns `xs`."""
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
         rows = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)

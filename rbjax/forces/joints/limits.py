@@ -144,7 +144,9 @@ def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
 
 
 def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
-    """Return a joint's coordinate and its gradient by the dofs."""
+    """Return the coordinate that has a range, and its gradient by the dofs of the joint. It is q of
+    a hinge or slide, and the rotation angle of a ball.
+    """
     if len(joint.q) == 1:
         return joint.q[0], [1.0]
     if joint.kind != "ball":
