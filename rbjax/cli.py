@@ -66,10 +66,7 @@ def _options(
 
 @contextlib.contextmanager
 def _progress(*, log: bool = False) -> Iterator[Any]:
-    """Show a spinner with the elapsed time on stderr, while a command runs.
-
-    Yield two functions: say(text) sets the text, and advance(done, total) sets the position of the
-    bar.
+    """Show a spinner on stderr. Yield say(text), and advance(done, total) for its bar.
 
     log: whether each text is printed as a line if stderr is not a terminal.
     """

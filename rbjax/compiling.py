@@ -55,8 +55,7 @@ def compiler_options() -> dict[str, Any]:
 
 def wide_vectors() -> dict[str, Any]:
     """Return the compiler option of 512-bit vectors, without the option of the fusion emitters. Use
-    it for arctangents and logarithms, which the older compiler computes twice.
-    """
+    it for arctangents and logarithms, which the older compiler computes twice."""
     return _known(WIDE)
 
 
@@ -74,8 +73,7 @@ def alone() -> bool:
 @functools.cache
 def _imported_alone() -> bool:
     """Return True if this module was imported outside any trace. Call it only in the trace state of
-    the import: the result is cached.
-    """
+    the import: the result is cached."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 

@@ -117,8 +117,7 @@ def _constants(*lanes: Lane) -> list[Lane]:
 
 def _constant(x: Lane, dtype: Any) -> Lane:
     """Cast a traced lane to the dtype. Convert a scalar constant to a float, and other constants to
-    numpy.
-    """
+    numpy."""
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return float(x) if np.ndim(x) == 0 else np.asarray(x, dtype)

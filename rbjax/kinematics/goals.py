@@ -189,8 +189,7 @@ class GoalErrors:
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
         """Return the angular velocity for unit speed of dof i, and the function p -> velocity of a
-        point. Velocities and the point p, which the dof moves, are in the world.
-        """
+        point. Velocities and the point p, which the dof moves, are in the world."""
         if i not in self._columns:
             pose, S = self._motion.pose(i), self._axes[i]
             self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p

@@ -158,8 +158,7 @@ class RotationMatrix(_Global):
 
     def body_rate(self, x: list) -> list:
         """Return the rate matrix E (3, 9), by rows, of omega_body = E x'. Its first row is omega_1
-        = (c_3.c_2' - c_2.c_3') / 2, with the columns c_i of R; the others are cyclic.
-        """
+        = (c_3.c_2' - c_2.c_3') / 2, with the columns c_i of R; the others are cyclic."""
         u, v, w = (0.5 * column for column in Mat3(*x).columns)
         o = Vec3.zero()
         rows = ((o, w, -v), (-w, o, u), (v, -u, o))
@@ -167,8 +166,7 @@ class RotationMatrix(_Global):
 
     def space_rate(self, x: list) -> list:
         """Return the rate matrix E (3, 9), by rows, of omega_space = E x'. Its first row is omega_1
-        = (r_2.r_3' - r_3.r_2') / 2, with the rows r_i of R; the others are cyclic.
-        """
+        = (r_2.r_3' - r_3.r_2') / 2, with the rows r_i of R; the others are cyclic."""
         u, v, w = (0.5 * row for row in Mat3(*x).rows)
         o = Vec3.zero()
         rows = ((o, -w, v), (w, o, -u), (-v, u, o))
@@ -202,8 +200,7 @@ class TwoColumns:
 
     def body_rate(self, x: list) -> list:
         """Return the rate matrix (3, 6), by rows, from x' to omega_body. omega_body = (b_3.b_2',
-        -b_3.b_1', b_2.b_1'), with the columns b_i of R.
-        """
+        -b_3.b_1', b_2.b_1'), with the columns b_i of R."""
         (_, b2, b3), (n, m), along = self._frame(x)
         o = Vec3.zero()
         rows = [((-along / (n * m)) * b3, (1 / m) * b3), ((-1 / n) * b3, o), ((1 / n) * b2, o)]

@@ -166,8 +166,7 @@ class _Shifted(diffrax.AbstractLocalInterpolation):
 @dataclass(frozen=True)
 class _Interpolation:
     """Constructor of the dense output `_Shifted` from the arguments of the increment's dense
-    output.
-    """
+    output."""
 
     inner: Callable[..., diffrax.AbstractLocalInterpolation]
 

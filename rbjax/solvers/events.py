@@ -221,8 +221,7 @@ def _locate(
 
     def attempt(now: _Trial) -> _Trial:
         """Try a step of length h: accept it, shorten it, or halve the interval that contains the
-        event.
-        """
+        event."""
         h = jnp.minimum(now.h, end - now.t)
         t = jnp.where(now.h < end - now.t, now.t + h, end)
         y, error = _long_step(f, now.t, now.y, args, h)

@@ -108,8 +108,7 @@ def least_change(
 
     def at_start(changed, q, v, x, l):
         """Return driver, context and rows at q, and the residual G^T l - W x of the projection. W
-        is the weight of the projection, x the change of q or v.
-        """
+        is the weight of the projection, x the change of q or v."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         context = Context.of(model, t0, State(q, v), None, d=d)

@@ -213,8 +213,7 @@ class ClusterTree:
 
     def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
         """Eliminate the clusters whose parent is a link, and add their inertias W A^-1 W^T to its
-        inertia I.
-        """
+        inertia I."""
         self._clusters[link] = [self._eliminate(x) for x in self._found if x.parent == link]
         more = [x for tied in self._clusters[link] for x in zip(tied.W, tied.Y, strict=False)]
         for w, y in more:
@@ -257,8 +256,7 @@ class ClusterTree:
 
         def arrived(link: int) -> Force:
             """Compute the multipliers of the clusters below a link, and return the force on the
-            link.
-            """
+            link."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))
@@ -289,8 +287,7 @@ class ClusterTree:
 
         def arrived(link: int) -> None:
             """Correct the multipliers of the clusters below a link for its acceleration. Add their
-            forces to the joint forces u.
-            """
+            forces to the joint forces u."""
             for tied in self._clusters[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):

@@ -152,8 +152,7 @@ def is_soft(model: Model) -> bool:
 
 def _norm(g: Sequence[Lane]) -> Lane:
     """Return the norm |g| of several residuals, with a zero derivative at g = 0. A single residual
-    is returned with its sign.
-    """
+    is returned with its sign."""
     if len(g) == 1:
         return g[0]
     square = inner(g, g)

@@ -118,8 +118,7 @@ class Driver(abc.ABC):
 
     def modes(self, joints: PerLink) -> tuple[Whole, Whole]:
         """Return the modal inertia of each link and its derivative by the coordinate, in the whole
-        form.
-        """
+        form."""
 
         def step(joint: JointMotion, _: tuple) -> tuple[tuple, tuple]:
             return (), (joint.modal, joint.modal_slope)

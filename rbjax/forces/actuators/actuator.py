@@ -124,8 +124,7 @@ class ForceLaw(Record):
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
         """Compute the derivatives (df/dl, df/dl') of the force by length and rate, for an implicit
-        step.
-        """
+        step."""
         return seen.derivatives(self.force)
 
     def friction_slopes(self, seen: Signals) -> tuple[Lane, Lane]:

@@ -120,8 +120,7 @@ class OrientationServo(Element):
 
     def _turned(self, context: Context) -> tuple[list[Lane], list[Arms]]:
         """Compute the orientation of the servo's frame as a quaternion, and three rows of moment
-        arms. Row k has the moment arms of a unit torque about axis k of the frame.
-        """
+        arms. Row k has the moment arms of a unit torque about axis k of the frame."""
         if self.joint >= 0:
             top = context.model.topology
             at, start = top.joint_v[self.joint], top.joint_q[self.joint]

@@ -145,8 +145,7 @@ def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
 
 def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
     """Return the coordinate that has a range, and its gradient by the dofs of the joint. It is q of
-    a hinge or slide, and the rotation angle of a ball.
-    """
+    a hinge or slide, and the rotation angle of a ball."""
     if len(joint.q) == 1:
         return joint.q[0], [1.0]
     if joint.kind != "ball":
@@ -168,8 +167,7 @@ def _apart(low: Lane, high: Lane) -> bool:
 
 def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
     """Compute the penetration of x into the stop at the nearer end, and its gradient by x. Use it
-    if the two stops never act at once.
-    """
+    if the two stops never act at once."""
     below = x < (low + high) / 2
     end, side = (
         where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))

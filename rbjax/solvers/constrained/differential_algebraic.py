@@ -198,8 +198,7 @@ class System:
 
     def push(self, t, y, rate, w, read) -> Callable[[jax.Array], jax.Array]:
         """Return the function d -> df, the derivative of f along a change d (2 n + m,) of (y, y',
-        w).
-        """
+        w)."""
         n = self.n
 
         def f(z):
@@ -209,9 +208,7 @@ class System:
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
     def invert_start(self, at: StageProblem) -> Blocks:
-        """Compute the blocks of an approximate inverse of the Newton matrix of all stages
-        (`simplified`). They are evaluated at the start of the step.
-        """
+        """Compute blocks of an approximate inverse of the matrix of all stages, at the start."""
         push = self.push(*at.start, at.read)
         return simplified(push, self.sizes, at.h, at.weights, at.free_diagonal)
 
@@ -268,9 +265,7 @@ class System:
             return x - S.sweep(lambda x: self.residual(x, at), shared.free, x, target), target
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
-            """Iterate Newton steps from the guess. Return whether they converged, and the root or
-            the guess.
-            """
+            """Iterate Newton steps. Return whether they converged, and the root, else the guess."""
 
             def once(carry: tuple) -> tuple:
                 x, target, before, count, _ = carry
@@ -356,16 +351,12 @@ def choose_by_memory(
 
 
 def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b for x by iterative refinement with the approximate inverse `nearly`. Return
-    x and whether it converged.
-    """
+    """Refine push(x) = b with an approximate inverse `nearly`. Return x and convergence."""
     return add_corrections(lambda x: nearly(b - push(x)), b, n)
 
 
 def solve_by_sweeps(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b for x by sweeps with the Schur complement S (`Complement.sweep`). Return x
-    and whether it converged.
-    """
+    """Solve push(x) = b by `Complement.sweep` of S. Return x and whether it converged."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
     return add_corrections(
         lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise
@@ -399,8 +390,7 @@ def add_corrections(
 def is_rounding(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
-    """Return whether corrections, relative to y, have reached rounding. `noise` is the largest
-    correction that may be rounding."""
+    """Return whether corrections are rounding, relative to y; `noise` is its largest size."""
     eps = float(jnp.finfo(now.dtype).eps)
     noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)

@@ -78,8 +78,7 @@ class Factored:
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:
         """Solve matrix x = r for x (s, n + m), without refinement. w is regularized towards c (s,
-        m).
-        """
+        m)."""
         s = len(r)
         n = len(self._matrix.rates) // s
         k = lu_solve(self._rates, r[:, :n].ravel())
@@ -187,8 +186,7 @@ def complement(
 
 def _relax(residual: Function, free: Function, x: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
     """Improve the rates of x by two approximate Newton steps with constant w. Return x, and the
-    residuals of the constraint rows before the last step.
-    """
+    residuals of the constraint rows before the last step."""
 
     def improve(x: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         r = residual(x)
