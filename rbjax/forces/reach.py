@@ -66,7 +66,8 @@ def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
 
 
 def opposed_arms(a: Arms, b: Arms) -> Arms:
-    """Merge the moment arms of two branches, without the joints that carry both."""
+    """Return the moment arms of an action and of its reaction. Joints that carry both ends have
+    none."""
     return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
 
 
