@@ -78,7 +78,7 @@ def get_cached(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: A
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Compare two values. Arrays, such as an index, are compared entry by entry."""
+    """Return whether two values are equal, with arrays compared entry by entry."""
     if a is b:
         return True
     if type(a) is not type(b):

@@ -347,7 +347,8 @@ class SimulationError:
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Expand rows [J r] of run k from its n unknowns and l corrections to all columns of x."""
+        """Expand the columns of rows [J r] of run k to all unknowns and all corrections of x.
+        Columns of the corrections of other runs are zero."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]

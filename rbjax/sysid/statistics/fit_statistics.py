@@ -144,7 +144,11 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """Compute R (.., n) with R^T R = sum_c a_c J_c^T J_c, for the mean slopes a_c (`shares`)."""
+    """Compute the triangular R with R^T R = sum_c a_c J_c^T J_c over columns c.
+
+    shares: a_c, the mean derivative of psi in each column.
+    n: number of entries of x.
+    """
     parts = []
     for k in range(len(columns[0].runs)):
         by_basis: dict[int, list[tuple[float, Rows]]] = {}
