@@ -191,7 +191,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
 
 
 def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """Set the time and state of the start of the step in the vector fields of the terms."""
+    """Set the start (time, state) of the current step in the vector fields of `terms`."""
 
     def of(x: Any) -> Any:
         return dataclasses.replace(x, begun=begun) if is_field(x) else x
