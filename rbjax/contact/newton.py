@@ -42,7 +42,7 @@ class Solution(NamedTuple):
         x: (nv,) acceleration.
         iterations: the number of Newton steps.
         error: relative gradient at x; the iteration has converged if it is at most the tolerance.
-        residuals: (n, dim) J x - a_ref of the slots of each set.
+        residuals: (n, dim) J x - a_ref of the active contacts of each set.
     """
 
     x: jax.Array
@@ -72,7 +72,7 @@ class _Iterate(NamedTuple):
 
 
 class _Values(NamedTuple):
-    """Gradient (nv,), stiffness of each pair of links (n, 21), and error at an iterate."""
+    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, and error."""
 
     gradient: jax.Array
     stiffness: jax.Array
@@ -111,7 +111,7 @@ def factorize_at(problem: Problem, solution: Solution) -> Any:
 
 
 def _start(problem: Problem) -> _Iterate:
-    """Return the iterate x = 0, whose residuals are -a_ref."""
+    """Return the first iterate, x = 0. The residuals of its contacts are -a_ref."""
     zero, dtype = jnp.zeros(len(problem.rhs), problem.dtype), problem.dtype
     residuals = []
     for contacts, slots in zip(problem.sets, problem.slots, strict=True):
@@ -126,7 +126,7 @@ def _start(problem: Problem) -> _Iterate:
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
-    """Return an array (n, dim) for the slots in use."""
+    """Return an uninitialised array (n, dim), whose rows of active contacts are written later."""
     return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
@@ -163,7 +163,7 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
 
 
 def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
-    """Compute the sum of w_i x_i^2."""
+    """Compute the weighted square sum of w_i x_i^2."""
     return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))
 
 
@@ -203,7 +203,7 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
 
 
 def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
-    """Compute H s of a symmetric matrix, from the rows of its lower triangle."""
+    """Compute the product H s of a symmetric matrix, given by the rows of its lower triangle."""
     n = range(len(s))
     return [total(mul(H[max(i, j)][min(i, j)], s[j]) for j in n) for i in n]
 

@@ -174,7 +174,7 @@ def run_rollout(
     save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
 ) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
-    """Compute the trajectory of `rollout` without its warning, the step in s and the dynamics."""
+    """Run `rollout` without its warning. Return the trajectory, the step in s, and the dynamics."""
     dynamics = dynamics_of("rollout", model, dynamics, constraints, steps=True)
     advance = integrator_of("rollout", integrator, dynamics, model)
     _check_where(kernel, memory)
