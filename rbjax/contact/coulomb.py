@@ -57,8 +57,9 @@ class CoulombContact:
     the ellipsoid sum (f_k / mu_k)^2 <= f_n^2. Friction loss, limits and the parameters of the
     normal direction are those of the file.
 
-    The memory contains the normal force and the bristle of each candidate, and at its end the
-    relative change of the normal forces in the last iteration.
+    The memory contains the normal force and the bristle of each candidate, and at its end the error
+    of the step: the relative change of the normal forces in the last iteration, or the error of
+    its solution if it is larger.
 
     Args:
         share: share of the displacement of a sticking contact that a step removes, 0 to 1.
@@ -97,6 +98,14 @@ class CoulombContact:
         """Return the memory of bristles at rest, all zeros."""
         size = sum(n * memory_width(dim) for dim, n in _candidates(model).items())
         return jnp.zeros(size + 1, model.gravity.dtype)
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return LATCHED[jnp.dtype(dtype).itemsize]
+
+    def solver_error(self, memory: jax.Array) -> jax.Array:
+        """Return the error of the step before a memory."""
+        return memory[..., -1]
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
@@ -282,7 +291,8 @@ def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
             return out.at[row.candidate].set(of.next_memory(row, _residual(r, k), True))
 
         parts.append(slots.fold(store, jnp.zeros_like(contacts.memory)).reshape(-1))
-    return jnp.concatenate([*parts, found.error[None]])
+    error = jnp.maximum(found.error, found.solution.error)
+    return jnp.concatenate([*parts, error[None]])
 
 
 def _memory_of_candidates(problem: Problem, a: jax.Array, memory: jax.Array) -> jax.Array:

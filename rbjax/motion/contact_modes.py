@@ -186,8 +186,7 @@ def _small(dtype: Any) -> tuple[float, float]:
 
 
 def _slip_direction(u: jax.Array, still: Any) -> tuple[jax.Array, jax.Array]:
-    """Return whether contacts slip faster than `still` (n,), and the unit direction of
-    slip (n, 2)."""
+    """Return whether contacts slip faster than `still` (n,), and the unit slip direction (n, 2)."""
     length = jnp.sqrt((u[:, 1:] ** 2).sum(-1))
     moves = length > still
     return moves, u[:, 1:] / jnp.where(moves, length, 1)[:, None]

@@ -74,8 +74,7 @@ class Recipe:
 
 
 class Captured(eqx.Module):
-    """A function as a pytree: the numbers that it reads, and the static `Recipe` that
-    rebuilds it."""
+    """A function as a pytree: the numbers that it reads, and a static `Recipe` to rebuild it."""
 
     operands: tuple[jax.Array, ...]
     recipe: Recipe
