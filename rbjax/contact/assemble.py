@@ -212,7 +212,7 @@ class Assembly:
 
     @cached_property
     def _rows(self) -> list[ScalarRow]:
-        """The rows of limits, friction loss and equalities."""
+        """The constraint rows of joint and tendon limits, friction loss and equalities."""
         model, options = self.model, self._options
         rows = dof_rows(model, self.q, self.v, self._weights[1], options)
         if not has_tendon_rows(model) and not model.constraints:

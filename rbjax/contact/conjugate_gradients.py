@@ -106,7 +106,7 @@ def coupling(problem: Problem, twists: jax.Array, residuals: Sequence[jax.Array]
 
 
 def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
-    """Compute H s of a symmetric matrix, from the rows of its lower triangle."""
+    """Compute the product H s of a symmetric matrix, given by the rows of its lower triangle."""
     n = range(len(s))
     return [total(mul(H[max(i, j)][min(i, j)], s[j]) for j in n) for i in n]
 

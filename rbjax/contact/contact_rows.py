@@ -52,15 +52,18 @@ class Row(NamedTuple):
     first_axes: Sequence[Motion] = ()
 
     def along(self, y: Motion) -> list[Lane]:
-        """Compute b_k . y for each row."""
+        """Compute the velocity along each row of the contact, b_k . y, for a relative twist y."""
         return [axis.dot(y) for axis in self.axes]
 
     def wrench(self, f: Sequence[Lane]) -> Force:
-        """Compute the wrench sum of b_k f_k."""
+        """Compute the wrench of the forces f along the rows, the sum of b_k f_k."""
         return wrench_along(self.axes, f)
 
     def stiffness(self, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
-        """Compute the sum of b_k H_kl b_l^T, from the lower triangle of H."""
+        """Compute the 6 by 6 stiffness of the contact, the sum of b_k H_kl b_l^T over its rows.
+
+        H: lower triangle of the Hessian in the rows.
+        """
         out, n = ArticulatedInertia.zero(), len(self.axes)
         for k, axis in enumerate(self.axes):
             row = [H[max(k, j)][min(k, j)] for j in range(n)]
@@ -165,12 +168,12 @@ class ContactSet:
         return [_entry(self.links[:, k], row.pair) for k in (0, 1)]
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
-        """Add K to the sum (n, 21) of the pair of links of a contact."""
+        """Add the stiffness K of a contact to the sum (n, 21) of its pair of links."""
         lanes = jnp.stack([*K.J, *K.H, *K.M])
         return sums.at[_entry(self.link_pairs, row.pair)].add(lanes)
 
     def scan(self, world: World, step: Callable[[Any, Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
+        """Run carry = step(carry, row, active) over the rows of all candidate contacts."""
 
         def with_row(carry: Any, *at: Any) -> Any:
             active = at[-1]
@@ -179,7 +182,7 @@ class ContactSet:
         return self._scan(world, with_row, carry)
 
     def _scan(self, world: World, step: Callable, carry: Any) -> Any:
-        """Run carry = step(carry, contact, pair, candidate, active) over all candidates."""
+        """Run carry = step(carry, contact, pair, candidate, active) over all candidate contacts."""
         start = 0
         for kind, pairs in self.kinds.items():
             count = COUNTS[kind.kinds]
@@ -231,7 +234,7 @@ class ContactSet:
         return self._scan(world, store, Found(jnp.int32(0), none, index, index))
 
     def row_of_found(self, world: World, found: Found, k: Any) -> Row:
-        """Compute the rows of a contact that `found` has stored."""
+        """Compute the rows of contact k of `found`, which the narrow phase has stored."""
         contact, pair = found.contact(k), found.pairs[k]
         active = contact.distance < self._lane(self.parameters.margin, pair)
         return self.row_of(world, contact, pair, found.candidates[k], active)
@@ -309,17 +312,17 @@ class Found(NamedTuple):
     candidates: jax.Array
 
     def contact(self, k: Any) -> Contact:
-        """Return the contact of a slot."""
+        """Return contact k."""
         x = unpack(self.contacts[k])
         return Contact(x[0], Vec3(*x[1:4]), Vec3(*x[4:7]), True, Vec3(*x[7:]))
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the slots in use."""
+        """Run carry = step(k, carry) over the indices k of all stored contacts."""
         return jax.lax.fori_loop(0, self.length, step, carry)
 
 
 def place_of(contact: Contact) -> list[Lane]:
-    """Return distance, position about the origin, and axes of a contact, 13 lanes."""
+    """Return distance, position and axes of a contact, 13 lanes."""
     axes = contact_frame(contact.normal, contact.tangent)
     return [contact.distance, *contact.position, *(x for axis in axes for x in axis)]
 
@@ -354,7 +357,7 @@ class Slots(NamedTuple):
         return cls(found, found.fold(compute, none))
 
     def row(self, k: Any, dim: int) -> Row:
-        """Return the row of a slot."""
+        """Return the rows of active contact k. dim: number of rows."""
         (D, *x), found = unpack(self.rows[k]), self.found
         starts = range(dim, len(x), 6)
         axes = [Motion.from_lanes(x[i : i + 6]) for i in starts]
@@ -362,7 +365,7 @@ class Slots(NamedTuple):
         return Row(found.pairs[k], axes[:dim], D, x[:dim], *at, axes[dim:])
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the slots in use."""
+        """Run carry = step(k, carry) over the indices k of all active contacts."""
         return self.found.fold(step, carry)
 
 

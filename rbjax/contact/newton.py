@@ -43,7 +43,7 @@ class Solution(NamedTuple):
         x: (nv,) acceleration.
         iterations: the number of Newton steps.
         error: relative gradient at x; the iteration has converged if it is at most the tolerance.
-        residuals: (n, dim) J x - a_ref of the slots of each set.
+        residuals: (n, dim) J x - a_ref of the active contacts of each set.
     """
 
     x: jax.Array
@@ -73,7 +73,7 @@ class _Iterate(NamedTuple):
 
 
 class _Values(NamedTuple):
-    """Gradient (nv,), stiffness of each pair of links (n, 21), and error at an iterate."""
+    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, and error."""
 
     gradient: jax.Array
     stiffness: jax.Array
@@ -112,7 +112,7 @@ def factorize_at(problem: Problem, solution: Solution) -> Any:
 
 
 def _start(problem: Problem) -> _Iterate:
-    """Return the iterate x = 0, whose residuals are -a_ref."""
+    """Return the first iterate, x = 0. The residuals of its contacts are -a_ref."""
     zero, dtype = jnp.zeros(len(problem.rhs), problem.dtype), problem.dtype
     residuals = []
     for contacts, slots in zip(problem.sets, problem.slots, strict=True):
@@ -127,7 +127,7 @@ def _start(problem: Problem) -> _Iterate:
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
-    """Return an array (n, dim) for the slots in use."""
+    """Return an uninitialised array (n, dim), whose rows of active contacts are written later."""
     return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
@@ -166,7 +166,7 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
 
 
 def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
-    """Compute the sum of w_i x_i^2."""
+    """Compute the weighted square sum of w_i x_i^2."""
     return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))
 
 

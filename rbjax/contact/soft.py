@@ -16,7 +16,7 @@ from rbjax.contact.contact_forces import (
     rows_of_candidates,
     rows_of_slots,
 )
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
@@ -139,7 +139,8 @@ class SoftContact:
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
-            best acceleration that was found; `rb.contact.solve` reports its error.
+            best acceleration that was found; `State.report`, `Trajectory.report` and
+            `rb.contact.solve` report its error.
         dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
             timestep.
 
@@ -159,10 +160,25 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+        return self._accelerated(slice(1), model, t, state, tau, f_ext)[0]
 
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-            return contact_acceleration(model, q, v, tau, *rest)[0]
+    def acceleration_and_error(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> tuple[jax.Array, jax.Array]:
+        """Compute the acceleration (nv,) and the error of the solver, which has no derivative."""
+        a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext)
+        return a, error
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return tolerance_of(dtype)
+
+    def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
+        """Compute some of the results of `contact_acceleration`."""
+        model, q, v, tau, *rest = self._arguments(*given)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            return list(contact_acceleration(model, q, v, tau, *rest)[which])
 
         return threads(solved)(q, v, tau)
 

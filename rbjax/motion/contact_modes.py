@@ -102,12 +102,16 @@ class ContactSystem(eqx.Module):
         return relative_velocity(self.model, q, v, contacts), contacts
 
     def guards(self, t: Any, y: State, mode: Mode) -> jax.Array:
-        """Return the guards (4, n): distance of open contacts, normal force, slip, and the reserve
-        of friction of kept ones. Each is infinite for other contacts."""
+        """Compute the guards (4, n) of the contact points: functions that cross zero at an event.
+
+        They are the distance of an open contact and, for a kept one, its normal force, its speed
+        along its direction of sliding, and the reserve mu f_n - |f_t| of friction. A guard without
+        a meaning is infinite.
+        """
         return self.guards_of(self.motion(t, y, mode)[2], mode)
 
     def guards_of(self, found: ContactForces, mode: Mode) -> jax.Array:
-        """Return the guards (4, n) of contacts."""
+        """Compute the guards (4, n) of `guards`, from contact forces that are found already."""
         mu, far = self.friction, jnp.inf
         rubs = mode.kept & (mu > 0) & jnp.isfinite(mu)
         tangent = jnp.sqrt((found.f[:, 1:] ** 2).sum(-1) + TINY**2)

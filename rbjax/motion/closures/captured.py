@@ -47,7 +47,7 @@ _levels: weakref.WeakKeyDictionary[Any, int] = weakref.WeakKeyDictionary()
 
 
 class UnfitError(Exception):
-    """Raised if a function does not run as it was read; read it again at another level."""
+    """Raised if a function does not run as it was read. `level` is the level to read it at next."""
 
     def __init__(self, site: Any, level: int) -> None:
         super().__init__(site, level)

@@ -78,7 +78,8 @@ PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """Traversal of a function and the values that it reaches, with a key and a maker for each.
+    """Reads a function and the values that it refers to. `read` returns the key of a value and its
+    maker.
 
     operands: the numbers read so far.
 
