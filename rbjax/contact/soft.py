@@ -16,7 +16,7 @@ from rbjax.contact.contact_forces import (
     rows_of_candidates,
     rows_of_slots,
 )
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
@@ -35,11 +35,13 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0,
+    dt: Any = None, t: Any = 0.0, *, values: bool = False,
 ) -> Problem:  # fmt: skip
-    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
-    for the model's timestep."""
-    problem = Assembly(model, q, v, dt, t).problem(tau, f_ext)
+    """Return the contact problem of a model, with its active contacts.
+
+    `dt` is the step, or None for the model's timestep. `values` is as in `Assembly`.
+    """
+    problem = Assembly(model, q, v, dt, t, values=values).problem(tau, f_ext)
     return problem.detect()
 
 
@@ -55,13 +57,13 @@ def contact_acceleration(
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t))
 
-    def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
+    def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
         model, f_ext, dt, t = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt, t)
+        problem = detected(model, q, v, tau, f_ext, dt, t, values=values)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
-        return batch_first(_with_report(solved_at(*at)[1]), at)
+        return batch_first(_with_report(solved_at(*at, values=True)[1]), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
@@ -137,7 +139,8 @@ class SoftContact:
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
-            best acceleration that was found; `rb.contact.solve` reports its error.
+            best acceleration that was found; `State.report`, `Trajectory.report` and
+            `rb.contact.solve` report its error.
         dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
             timestep.
 
@@ -157,10 +160,25 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+        return self._accelerated(slice(1), model, t, state, tau, f_ext)[0]
 
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-            return contact_acceleration(model, q, v, tau, *rest)[0]
+    def acceleration_and_error(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> tuple[jax.Array, jax.Array]:
+        """Compute the acceleration (nv,) and the error of the solver, which has no derivative."""
+        a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext)
+        return a, error
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return tolerance_of(dtype)
+
+    def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
+        """Compute some of the results of `contact_acceleration`."""
+        model, q, v, tau, *rest = self._arguments(*given)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            return list(contact_acceleration(model, q, v, tau, *rest)[which])
 
         return threads(solved)(q, v, tau)
 

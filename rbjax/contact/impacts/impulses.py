@@ -195,8 +195,11 @@ def impact(
 def impact_problem(
     model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any
 ) -> tuple[jax.Array, ImpulseProblem, jax.Array]:
-    """Return J (n, 3, nv), the impulse problem with b = 0 of the contacts that exist, and
-    Y = W J^T (nv, 3 n)."""
+    """Return the contact Jacobian J (n, 3, nv), the impulse problem without restitution, and W J^T.
+
+    W is the inverse mass matrix of the constrained model, so that W J^T (nv, 3 n) is the change of
+    the velocity by unit impulses.
+    """
     J = contact_jacobian(model, q, contacts)
     n, nv = len(contacts.geoms), model.nv
     rows = J.reshape(3 * n, nv)

@@ -35,6 +35,9 @@ from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 
+#: the residual in m/s up to which a step has converged
+CONVERGED = 1e-4
+
 
 class MoreauContact(Record):
     """Dynamics of contacts by Moreau's time stepping, for `step` and `rollout`.
@@ -44,7 +47,8 @@ class MoreauContact(Record):
     impacts and slides: they are those of the rigid motion, as the step contains the time of impact.
 
     The memory (3 n + 1,) contains the impulses of the last step in N s, which start the next one,
-    and at its end the residual in m/s: the largest violation of the laws of contact.
+    and at its end the residual in m/s: the largest violation of the laws of contact. A step with a
+    residual above 1e-4 m/s has not converged (`Trajectory.unconverged`): use more sweeps.
 
     Fields:
         restitution, friction: e and mu (n,) of each candidate contact.
@@ -112,6 +116,14 @@ class MoreauContact(Record):
     def initial_memory(self, model: Model) -> jax.Array:
         """Return zero impulses and a zero residual."""
         return jnp.zeros(3 * len(self.restitution) + 1, model.gravity.dtype)
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the residual in m/s up to which a step has converged."""
+        return CONVERGED
+
+    def solver_error(self, memory: jax.Array) -> jax.Array:
+        """Return the residual of the step before a memory."""
+        return memory[..., -1]
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any

@@ -44,8 +44,10 @@ class Softness(NamedTuple):
         return cls(weight, *(numbers(table(x, dtype)[i], dtype) for x in (solref, solimp)))
 
     def terms(self, r: Lane, rate: Lane, options: Options) -> tuple[Lane, Lane]:
-        """Compute the inverse regularization and the reference acceleration at the residual r of
-        the position and its rate."""
+        """Compute the inverse regularization and the reference acceleration of a row.
+
+        r: residual of the position. rate: its rate.
+        """
         d, (dt, refsafe) = impedance(r, self.solimp), (options.dt, options.refsafe)
         a = reference(r, rate, d, self.solref, self.solimp, dt, refsafe=refsafe)
         return 1.0 / regularisation(d, self.weight), a
@@ -94,11 +96,11 @@ class ScalarRow(NamedTuple):
         return cls(FRICTION, J, D, a, floss, source)
 
     def along(self, x: list[Lane]) -> Lane:
-        """Compute J x."""
+        """Compute J x, the acceleration along the row, from the lanes x of all dofs."""
         return _along(self.J, x)
 
     def response(self, r: Lane) -> tuple[Lane, Lane]:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at a residual r = J x - a_ref."""
         push = neg(mul(self.D, r))
         if self.kind == EQUALITY:
             return push, self.D
@@ -110,10 +112,10 @@ class ScalarRow(NamedTuple):
 
 
 def _along(J: Mapping[int, Lane], x: Any) -> Lane:
-    """Compute J x of a vector x (nv,) or its lanes."""
+    """Compute J x, for a row J (dof -> coefficient) and a vector x (nv,) or its lanes."""
     return inner(J.values(), [x[i] for i in J])
 
 
 def entry(column: Any, i: int, dtype: Any) -> Lane:
-    """Return an entry of a leaf (n,) as a lane."""
+    """Return entry i of a model parameter (n,) as a lane."""
     return lane(table(column, dtype), i)
