@@ -174,7 +174,7 @@ class SoftContact:
         return tolerance_of(dtype)
 
     def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
-        """Compute some of the results of `contact_acceleration`."""
+        """Compute the results of `contact_acceleration` that the slice `which` selects."""
         model, q, v, tau, *rest = self._arguments(*given)
 
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:

@@ -137,11 +137,12 @@ class Field:
         return a, x, self.kept(state, error)
 
     def kept(self, state: State, error: jax.Array | None) -> tuple:
-        """Return memory and report after a step with accelerations of an error."""
+        """Return memory and report of the state after a step. error: the error of the contact
+        solver."""
         return state.memory, self.report(state, error)
 
     def report(self, state: State, error: jax.Array | None) -> jax.Array | None:
-        """Return the report of a state after a step with an error of the solver."""
+        """Return the report of a state after a step. error: the error of the contact solver."""
         if state.report is None or error is None:
             return state.report
         return with_step(state.report, error, self.dynamics.solver_tolerance(error.dtype))
