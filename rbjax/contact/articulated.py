@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import inertia_of_row, stacked
+from rbjax.contact.contact_rows import inertia_of_row
+from rbjax.contact.problem import stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
 from rbjax.dynamics.drivers.contract import Driver

@@ -25,8 +25,9 @@ from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.contact.parameters import tangential_solref
+from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -40,6 +41,8 @@ class Row(NamedTuple):
         reference: reference acceleration of each row.
         contact: the contact about the origin.
         candidate: index of the candidate in its set.
+        bristle: displacement of each friction row, if they have bristles.
+        latch: the latched normal force, or None.
     """
 
     pair: Any
@@ -48,6 +51,8 @@ class Row(NamedTuple):
     reference: list[Lane]
     contact: Contact
     candidate: Any
+    bristle: Sequence[Lane] = ()
+    latch: Lane | None = None
 
     def along(self, y: Motion) -> list[Lane]:
         """Compute b_k . y for each row."""
@@ -77,12 +82,14 @@ class Options(NamedTuple):
         impratio: impedance of friction over the impedance of the normal row.
         dt: step in s, from which the least time constant of a contact follows.
         refsafe: whether time constants are at least two steps.
+        discrete: whether the rows are those of the `discrete` integrator.
     """
 
     elliptic: bool
     impratio: Lane
     dt: Any
     refsafe: bool
+    discrete: bool = False
 
 
 class World(NamedTuple):
@@ -94,12 +101,16 @@ class World(NamedTuple):
         poses: (n, 12) rotation and position of each link, if rows are in the axes of the link that
             touches the world.
         heights: of the height fields, as `Geoms.heights`.
+        responses: (2, n, 21) sum of S_j S_j^T / m_j over the dofs between each pair of links, with
+            the diagonal m of the mass matrix, and with the one that the solver uses, if they
+            differ.
     """
 
     geoms: jax.Array
     twists: jax.Array
     poses: jax.Array | None = None
     heights: tuple[jax.Array, ...] = ()
+    responses: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -226,6 +237,10 @@ class ContactSet:
         v = row.along(self.relative(row, world.twists))
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
+        if world.responses is not None:
+            mu = () if self.options.elliptic else self.cone(row).mu
+            tables = world.responses[:, _entry(self.link_pairs, pair)]
+            D = D * stretch(row.axes, mu, [inertia_of_row(x) for x in tables])
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
 
     def axes(self, world: World, contact: Contact, pair: Any) -> list[Motion]:
@@ -251,6 +266,11 @@ class ContactSet:
         given, options, pair = self.parameters, self.options, row.pair
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
         d, weight, mu = impedance(r, solimp), self._lane(self.weights, pair), self.cone(row).mu
+        if options.discrete:
+            own = self._lanes(given.solreffriction, pair)
+            slides = tangential_solref(solref, own) if options.elliptic else None
+            terms = d, weight, solref, slides, solimp, mu
+            return contact_at_the_end(r, v, *terms, options.impratio, options.dt, options.refsafe)
 
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
             return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
@@ -302,6 +322,12 @@ class Found(NamedTuple):
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the slots in use."""
         return jax.lax.fori_loop(0, self.length, step, carry)
+
+
+def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
+    """Return a matrix K from its entries (21,): J, H and M."""
+    x = unpack(row)
+    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
 
 
 def place_of(contact: Contact) -> list[Lane]:

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import ContactSet, Slots, World
+from rbjax.contact.contact_rows import ContactSet, Slots, World, inertia_of_row
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, pack, sub, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.spatial import Force, Motion
 
 
 class Factors(NamedTuple):
@@ -127,12 +127,6 @@ def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> No
         F = fusion_barrier(K(S[i]))
         for j in order[: at + 1]:
             A[i][j] = add(A[i][j], S[j].dot(F))
-
-
-def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
-    """Return a matrix K from its entries (21,): J, H and M."""
-    x = unpack(row)
-    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
 
 
 def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:

@@ -288,9 +288,17 @@ class EllipsoidFluid(Element):
 
     def slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of each ellipsoid."""
+        return self._slopes(context, self._ellipsoids(context))
+
+    def dissipative_slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of the drag, without lift and added mass."""
+        own, none = self._ellipsoids(context), Vec3(0.0, 0.0, 0.0)
+        return self._slopes(context, own._replace(kutta=0.0, magnus=0.0, mass=none, inertia=none))
+
+    def _slopes(self, context: Context, own: _Ellipsoid) -> list[Slope]:
         axes = rotations(table(self.orientation, context.q.dtype))
         wind, out = in_lanes(self.wind, context), list[Slope]()
-        given = axes, self.position, self._ellipsoids(context)
+        given = axes, self.position, own
         for frame, (turn, position, own) in frames_of(context, self.bodies, *given):
             here = frame.then(Transform(turn, position))
             V = relative_twist(here, wind)
