@@ -38,7 +38,7 @@ NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
 
 
 def memory_width(dim: int) -> int:
-    """Return the number of entries of the memory of a candidate with some rows."""
+    """Return the number of memory entries of a candidate contact with `dim` rows."""
     return {1: 0, 3: 4}.get(dim, 7)
 
 
@@ -57,11 +57,11 @@ class Disc(NamedTuple):
     latch: Lane | None
 
     def normal(self, r: Lane) -> Lane:
-        """Compute the normal force at the residual of the normal row."""
+        """Compute the normal force at the residual r of the normal row."""
         return jnp.where(r < 0, -self.D * r, 0.0)
 
     def slip(self, r: Sequence[Lane]) -> tuple[Any, Lane, list[Lane]]:
-        """Return whether the contact sticks, F / T, and the unit vector t = U / T."""
+        """Return whether the contact sticks, F / T, and the unit direction t = U / T of slip."""
         F = self.normal(r[0]) if self.latch is None else self.latch
         U = [mul(m, x) for m, x in zip(self.mu, r[1:], strict=True)]
         square = total(mul(u, u) for u in U)
@@ -75,7 +75,8 @@ class Disc(NamedTuple):
         return self.D_t / (self.mu[0] * self.mu[0])
 
     def response(self, r: Sequence[Lane]) -> Response:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at the residual r = J x - a_ref of each
+        row."""
         active = jnp.where(r[0] < 0, self.D, 0.0)
         sticks, ratio, t = self.slip(r)
         scale, along = jnp.where(sticks, self._c, ratio), jnp.where(sticks, 0.0, ratio)
@@ -107,7 +108,7 @@ class DiscSlots(NamedTuple):
     latches: jax.Array
 
     def row(self, k: Any, dim: int) -> Row:
-        """Return the row of a slot."""
+        """Return the rows of active contact k. dim: number of rows."""
         x, found, contact = unpack(self.rows[k]), self.found, self.found.contact(k)
         axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
         return Row(
@@ -116,17 +117,17 @@ class DiscSlots(NamedTuple):
         )  # fmt: skip
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the active slots."""
+        """Run carry = step(k, carry) over the indices k of all active contacts."""
         return self.found.fold(step, carry)
 
     def used(self, values: jax.Array) -> jax.Array:
-        """Return values (n, ...) of slots with zeros for slots without a contact."""
+        """Return values (n, ...) with zeros in entries beyond the number of active contacts."""
         here = jnp.arange(len(values)) < self.found.length
         return jnp.where(here.reshape(-1, *(1,) * (values.ndim - 1)), values, 0.0)
 
     def scan(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over all slots, in a loop that can be transposed. Slots
-        without a contact have no forces."""
+        """Run carry = step(k, carry) over all n entries, by a loop with reverse-mode derivatives.
+        Entries without a contact have no forces."""
         every = jnp.arange(self.rows.shape[0])
         return jax.lax.scan(lambda x, k: (step(k, x), None), carry, every)[0]
 
@@ -149,27 +150,30 @@ class DiscSet(ContactSet):
 
     @classmethod
     def of(cls, given: ContactSet, memory: Any, step: Any, share: Any, stiffness: Any) -> DiscSet:
-        """Add bristles to a set of contacts."""
+        """Return a set of contacts with bristles, from a set without.
+
+        memory, step, share, stiffness: fields of `DiscSet`.
+        """
         kept = {f.name: getattr(given, f.name) for f in fields(ContactSet)}
         return cls(**kept, memory=memory, step=step, share=share, stiffness=stiffness)
 
     def cone(self, row: Any) -> Any:
-        """Return the friction of a contact."""
+        """Return the friction model of a contact."""
         mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
         d, weight = self.stiffness, self._lane(self.weights, row.pair)
         return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch)
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
         """Compute the rows of a contact. If it is not active, D is 0."""
-        margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
+        margin, (axes,) = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
         e = contact_frame(contact.normal, contact.tangent)
         memory = self.memory[candidate]
         s = [x.dot(Vec3(*(memory[i] for i in range(1, 4)))) for x in e[1:]]
         if self.dim > 3:
             turn = Vec3(*(memory[i] for i in range(4, 7)))
             s += [x.dot(turn) for x in e][: self.dim - 3]
-        row = Row(pair, axes, 0.0, [], contact, candidate, s)
-        v = row.along(self.relative(row, world.twists))
+        row = Row(pair, axes, 0.0, [], contact, candidate, bristle=s)
+        v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         given = self.parameters
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)

@@ -16,7 +16,7 @@ from rbjax.contact.contact_forces import (
     rows_of_candidates,
     rows_of_slots,
 )
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
@@ -36,11 +36,13 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0, added: Entries | None = None,
+    dt: Any = None, t: Any = 0.0, added: Entries | None = None, *, values: bool = False,
 ) -> Problem:  # fmt: skip
-    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
-    for the model's timestep. `added` is as in `Assembly`."""
-    problem = Assembly(model, q, v, dt, t, added).problem(tau, f_ext)
+    """Return the contact problem of a model, with its active contacts.
+
+    `dt` is the step, or None for the model's timestep. `added` and `values` are as in `Assembly`.
+    """
+    problem = Assembly(model, q, v, dt, t, added, values=values).problem(tau, f_ext)
     return problem.detect()
 
 
@@ -57,21 +59,21 @@ def contact_acceleration(
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t, added))
 
-    def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
+    def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
         model, f_ext, *rest = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, *rest)
+        problem = detected(model, q, v, tau, f_ext, *rest, values=values)
         return problem, solve(problem, iterations=iterations)
 
-    def values(problem, found):
+    def results(problem, found):
         counts = () if added is None else (_rows_of_links(problem, found.x),)
         return *_with_report(found), *counts
 
     def plain(*at):
-        return batch_first(values(*solved_at(*at)), at)
+        return batch_first(results(*solved_at(*at, values=True)), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
-        return values(problem, found), [factorize_at(problem, found).solve]
+        return results(problem, found), [factorize_at(problem, found).solve]
 
     def residual(changed, q, v, tau, a):
         model, f_ext, *rest = rebuilt(changed)
@@ -162,7 +164,8 @@ class SoftContact:
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
-            best acceleration that was found; `rb.contact.solve` reports its error.
+            best acceleration that was found; `State.report`, `Trajectory.report` and
+            `rb.contact.solve` report its error.
         dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
             timestep.
 
@@ -182,27 +185,42 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+        return self._accelerated(slice(1), model, t, state, tau, f_ext)[0]
 
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-            return contact_acceleration(model, q, v, tau, *rest)[0]
+    def acceleration_and_error(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> tuple[jax.Array, jax.Array]:
+        """Compute the acceleration (nv,) and the error of the solver, which has no derivative."""
+        a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext)
+        return a, error
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return tolerance_of(dtype)
+
+    def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
+        """Compute some of the results of `contact_acceleration`."""
+        model, q, v, tau, *rest = self._arguments(*given)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            return list(contact_acceleration(model, q, v, tau, *rest)[which])
 
         return threads(solved)(q, v, tau)
 
     def step_map(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any,
         added: Entries,
-    ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-        """Compute (v+ - v) / h (nv,) of the `discrete` integrator, and the number of rows that act
-        on each link (nv,).
+    ) -> list[jax.Array]:  # fmt: skip
+        """Compute (v+ - v) / h (nv,) of the `discrete` integrator, the error of the solver, and the
+        number of rows that act on each link (nv,).
 
         tau: generalized forces with -h K v. added: h D + h^2 K by entry.
         """
         _, q, v, tau, *rest, _, t = self._arguments(model, t, state, tau, f_ext)
 
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:
-            a, _, _, counts = contact_acceleration(model, q, v, tau, *rest, dt, t, added)
-            return a, counts
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            a, _, *others = contact_acceleration(model, q, v, tau, *rest, dt, t, added)
+            return [a, *others]
 
         return threads(solved)(q, v, tau)
 

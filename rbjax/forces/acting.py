@@ -75,7 +75,7 @@ def _driven(model: Model, found: list[tuple[Element, Context]]) -> Loads:
 
 
 def _actuators(model: Model, found: list[tuple[Element, Context]]) -> list[tuple[Element, Context]]:
-    """List the actuators, with contexts that contain the scales of tendons."""
+    """List the actuators with their contexts, which contain the factors of `tendon_scales`."""
     if not found or found[0][1].ctrl is None:
         return []
     scales = tendon_scales(model, found)
@@ -128,7 +128,7 @@ def _limited(model: Model, driven: Loads, context: Context) -> Loads:
 
 
 def _summed(driven: Loads, context: Context) -> dict[int, Lane]:
-    """Sum the generalized forces of actuators; forces at sites count for the limits of joints."""
+    """Sum the generalized forces of actuators by dof, including actuators at sites."""
     if driven.wrenches:
         summed = context.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads(dict(enumerate(summed)))

@@ -355,7 +355,8 @@ class _Ellipsoid(NamedTuple):
 
 
 def _moment(length: Lane, radius: Lane) -> Lane:
-    """Compute the moment of drag about an axis with a half length and a largest radius."""
+    """Compute the moment of drag 8 pi / 15 l r^4 of an ellipsoid about an axis. l is the semi-axis
+    along this axis, and r the larger one of the other two."""
     square = radius * radius
     return 8.0 / 15.0 * math.pi * length * square * square
 

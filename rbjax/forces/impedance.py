@@ -178,13 +178,14 @@ def _stiffness_and_damping(
 
 
 def _constants(*lanes: Lane) -> list[Lane]:
-    """Return constants of shape () as Python floats, and arrays in the first tracer's dtype."""
+    """Convert each lane by `_constant`, to the dtype of the first tracer."""
     dtype = next((x.dtype for x in lanes if isinstance(x, jax.core.Tracer)), np.float64)
     return [_constant(x, dtype) for x in lanes]
 
 
 def _constant(x: Lane, dtype: Any) -> Lane:
-    """Return a lane in a form that mixes with tracers of the dtype."""
+    """Cast a traced lane to the dtype. Convert a scalar constant to a float, and other constants to
+    numpy."""
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return float(x) if np.ndim(x) == 0 else np.asarray(x, dtype)

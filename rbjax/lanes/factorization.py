@@ -185,11 +185,14 @@ def regularization(dtype: Any, damping: float | None = None) -> tuple[float, flo
 def diagonal_floor(
     diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
 ) -> jax.Array:
-    """Return a lower bound of the diagonal of a matrix: `factor * usual`.
+    """Return a lower bound (n,) of the diagonal of a matrix: `factor * usual`.
 
     Args:
+        diagonal: (n,) the diagonal in the current configuration.
         usual: the diagonal in a configuration without vanishing rows, 0 if it is not known.
-        unknown: the bound is `unknown` times the sum of the diagonal if `usual` is 0; None is eps.
+        factor: the bound relative to `usual`.
+        unknown: the bound relative to the sum of the diagonal if `usual` is 0; None is the machine
+            epsilon.
     """
     unknown = float(jnp.finfo(diagonal.dtype).eps) if unknown is None else unknown
     usual = jnp.asarray(usual, diagonal.dtype)

@@ -54,17 +54,17 @@ class ImplicitVelocity:
         damping = self._damping(field, t, state, u, dt)
         entries = {at: mul(dt, d) for at, d in damping.items()}
         if field.dynamics is free_motion:
-            force, x, memory = field.inertial_force(t, state, u, dt)
+            force, x, kept = field.inertial_force(t, state, u, dt)
             a = velocity_of(model, q, force, entries)
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
-            a, x, memory = field.acceleration(t, state, u, dt)
+            a, x, kept = field.acceleration(t, state, u, dt)
             if entries:
                 a = a - velocity_of(model, q, product(entries, a), entries)
         v = state.v + dt * a
-        return State(field.retract(state.q, dt * v), v, x, memory)
+        return State(field.retract(state.q, dt * v), v, x, *kept)
 
     def _damping(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """Compute the entries of D."""
+        """Compute the entries (i, j) -> value of the implicit damping matrix D."""
         model = field.precomputed
         turning = self._with_bias(model.topology)
         found = field.slopes(t, state, u, dt, of=self.of)

@@ -30,6 +30,7 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
 from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.implicit_velocity import ImplicitVelocity
+from rbjax.motion.solver_report import reports
 from rbjax.motion.step_map import step_map
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
@@ -55,8 +56,8 @@ class Integrator(Protocol):
 def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
     """Advance a state by v+ = v + dt a(q, v), q+ = q (+) dt v+, x+ = x + dt x'. The order is 1.
     The step is symplectic if the mass matrix is constant and no force depends on v."""
-    v, x, memory, moving = field.advance_velocity(t, state, u, dt)
-    return State(field.retract(state.q, dt * moving), v, x, memory)
+    v, x, kept, moving = field.advance_velocity(t, state, u, dt)
+    return State(field.retract(state.q, dt * moving), v, x, *kept)
 
 
 def runge_kutta(
@@ -67,23 +68,28 @@ def runge_kutta(
 
     written: whether to unroll the stages; None: unroll them if there are few.
     """
-    q0, v0, x0 = state.q, state.v, state.x
-    t0 = t
+    q0, v0, x0, report = state.q, state.v, state.x, state.report
+    t0, parts = t, 2 if x0 is None else 3
 
     def stage_state(t, dq, dv, x):
-        return field.stage_state(t, State(field.retract(q0, dq), v0 + dv, x), t0, state)
+        at = State(field.retract(q0, dq), v0 + dv, x, state.memory, report)
+        return field.stage_state(t, at, t0, state)
 
     def rate(t, k):
         at = stage_state(t, k[0], k[1], None if x0 is None else x0 + k[2])
-        a, x = field.rates(t, at, u)
-        return _given(field.increment_rate(k[0], at.v), a, x)
+        a, x, error = field.rates_and_error(t, at, u)
+        return _given(field.increment_rate(k[0], at.v), a, x, error)
 
     if written is None:
         written = table.stages * field.model.nv <= WRITTEN_UP_TO
     stages = explicit_stages(rate, table, t, dt, written=written)
-    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
-    dq, dv, *dx = scale(dt, combine(table.b, stages(start)))
-    return stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
+    has_error = report is not None and reports(field.dynamics)
+    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0, report[0] if has_error else None))
+    ks = stages(start)
+    dq, dv, *dx = scale(dt, combine(table.b, [k[:parts] for k in ks]))
+    error = functools.reduce(jnp.maximum, [k[-1] for k in ks]) if has_error else None
+    after = stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
+    return State(after.q, after.v, after.x, *field.kept(state, error))
 
 
 def _given(*parts: Any) -> tuple:
@@ -161,8 +167,16 @@ def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
     """Advance a state by a step of any integrator, clip the states of force elements to their
-    ranges, and project the state onto the constraints of a formulation."""
+    ranges, and project the state onto the constraints of a formulation.
+
+    The report of an integrator that returns none has the error at the start of the step.
+    """
     after: Any = integrator(field, t, state, u, dt)
+    if state.report is not None and isinstance(after, State) and after.report is None:
+        error = None
+        if not isinstance(field.dynamics, VelocityDynamics):
+            *_, error = field.rates_and_error(t, state, u)
+        after = State(after.q, after.v, after.x, after.memory, field.report(state, error))
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)
     tree: Any = jax.tree.structure(after)

@@ -44,17 +44,17 @@ def step_map(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
     tau, f_ext, x = field.step_forces(t, state, u, dt)
     tau = tau - dt * pack(_stiff_forces([*damped, *others], v), v)
     if soft:
-        a, rows = field.dynamics.step_map(model, t, state, tau, f_ext, dt, added)
+        a, error, rows = field.dynamics.step_map(model, t, state, tau, f_ext, dt, added)
     else:
         force = tau - field.bias(state, f_ext)
-        a, rows = velocity_of(model, q, force, added), jnp.zeros_like(v)
+        a, error, rows = velocity_of(model, q, force, added), None, jnp.zeros_like(v)
     gyroscopic = _gyroscopic(field, state, _coupling(others, rows, dt), dt)
     if gyroscopic:
         places = sorted({*gyroscopic, *added})
         whole = {at: add(gyroscopic.get(at, 0.0), added.get(at, 0.0)) for at in places}
         a = a - velocity_of(model, q, product(gyroscopic, a), whole)
     v = v + dt * a
-    return State(field.retract(q, dt * v), v, x, state.memory)
+    return State(field.retract(q, dt * v), v, x, *field.kept(state, error))
 
 
 def _weight(slope: Slope, dt: Any) -> Lane:

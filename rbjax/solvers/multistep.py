@@ -138,7 +138,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return f.unravel(y + out.u), error, dense, state, step_result(out.ok)
 
     def _padded(self, step: Step) -> Step:
-        """Pad the coefficients of a step to the degree of the method."""
+        """Pad the dense-output coefficients of a step with zeros to the degree of the method."""
         missing = self.degree - step.coefficients.shape[0]
         padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))

@@ -160,7 +160,8 @@ def is_soft(model: Model) -> bool:
 
 
 def _norm(g: Sequence[Lane]) -> Lane:
-    """Return |g| but for the sign of a single residual, with a zero derivative at g = 0."""
+    """Return the norm |g| of several residuals, with a zero derivative at g = 0. A single residual
+    is returned with its sign."""
     if len(g) == 1:
         return g[0]
     square = inner(g, g)
@@ -239,6 +240,6 @@ def soft_problem(d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces)
 def soft_right_hand_side(
     context: Context, rows: Sequence[Row], f: jax.Array | None, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """Return the residual of the rows' equations at forces f, or at zero forces if f is None."""
+    """Return the residual of the rows' equations at the forces f on the rows; None for zero."""
     R, residual = regularizer_and_residual(context, rows, alpha, beta)
     return list(residual if f is None else residual - R * f)

@@ -139,7 +139,7 @@ def _curve(c: Callable, numbers: Any, s: jax.Array) -> jax.Array:
 
 
 def _with_slope(f: Callable, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return f(s) and f'(s)."""
+    """Return f(s) and f'(s) of a function of one scalar."""
     return jax.jvp(f, (s,), (jnp.ones_like(s),))
 
 

@@ -122,7 +122,7 @@ def solve_impulses(
 
 
 def _scales(problem: ImpulseProblem) -> tuple[jax.Array, jax.Array]:
-    """Return the normal diagonal of D and a bound of its tangential block, per contact."""
+    """Return the normal diagonal entry of D and a bound of its tangential block, per contact."""
     n = len(problem.b)
     block = (problem.D * jnp.eye(n, dtype=problem.D.dtype)[:, None, :, None]).sum(2)
     normal = block[:, 0, 0]
@@ -132,7 +132,7 @@ def _scales(problem: ImpulseProblem) -> tuple[jax.Array, jax.Array]:
 
 
 def _on_disc(x: jax.Array, radius: jax.Array) -> jax.Array:
-    """Return the point of a disc about zero that is nearest to x (2,)."""
+    """Project x (2,) onto a disc about zero."""
     square = (x * x).sum()
     outside = square > radius * radius
     length = jnp.sqrt(jnp.where(outside, square, 1))

@@ -196,9 +196,12 @@ def impact_problem(
     model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any,
     others: jax.Array | None = None,
 ) -> tuple[jax.Array, ImpulseProblem, jax.Array]:  # fmt: skip
-    """Return J (n, 3, nv), the impulse problem with b = 0 of the contacts that exist, and
-    Y = W J^T (nv, 3 n). `others` are rows (m, 3, nv) that follow those of the contacts; then n
-    includes m, and they are active and frictionless."""
+    """Return the contact Jacobian J (n, 3, nv), the impulse problem without restitution, and W J^T.
+
+    W is the inverse mass matrix of the constrained model, so that W J^T (nv, 3 n) is the change of
+    the velocity by unit impulses. `others` are rows (m, 3, nv) that follow those of the contacts;
+    then n includes m, and they are active and frictionless.
+    """
     J, exists = contact_jacobian(model, q, contacts), contacts.exists
     if others is not None:
         J = jnp.concatenate([J, others])

@@ -36,6 +36,9 @@ from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 
+#: the residual in m/s up to which a step has converged
+CONVERGED = 1e-4
+
 
 class MoreauContact(Record):
     """Dynamics of contacts by Moreau's time stepping, for `step` and `rollout`.
@@ -49,9 +52,10 @@ class MoreauContact(Record):
     brakes with |p| <= h floss.
 
     The memory (3 n + 1,) contains the impulses of the last step in N s, which start the next one,
-    and at its end the residual in m/s: the largest violation of the laws. The n rows are those of
-    the contacts, then of the limits (normal), then of the friction loss (first tangent), and these
-    two have zeros in their other entries.
+    and at its end the residual in m/s: the largest violation of the laws. A step with a residual
+    above 1e-4 m/s has not converged (`Trajectory.unconverged`): use more sweeps. The n rows are
+    those of the contacts, then of the limits (normal), then of the friction loss (first tangent),
+    and these two have zeros in their other entries.
 
     Fields:
         restitution, friction: e and mu (n,) of each candidate contact.
@@ -122,6 +126,14 @@ class MoreauContact(Record):
         """Return zero impulses and a zero residual."""
         n = len(self.restitution) + count_joint_rows(model)
         return jnp.zeros(3 * n + 1, model.gravity.dtype)
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the residual in m/s up to which a step has converged."""
+        return CONVERGED
+
+    def solver_error(self, memory: jax.Array) -> jax.Array:
+        """Return the residual of the step before a memory."""
+        return memory[..., -1]
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any

@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from rbjax.forces.impedance import end_of_step
-from rbjax.lanes import Lane
+from rbjax.lanes import Lane, unpack
 from rbjax.spatial import ArticulatedInertia, Motion
 
 
@@ -41,15 +42,14 @@ def contact_at_the_end(
     return 1.0 / normal.R, [normal.reference(r, v[0]), *(tangents.reference(0.0, x) for x in v[1:])]
 
 
-def stretch(axes: Sequence[Motion], mu: Sequence[Lane], responses: Sequence[Any]) -> Lane:
+def stretch(axes: Sequence[Motion], mu: Sequence[Lane], responses: jax.Array) -> Lane:
     """Compute sum J_j^2 / m_j over sum J_j^2 / m'_j of MuJoCo's first row of a contact, which is
     its normal, or the first edge of a pyramid with the friction mu.
 
-    responses: sums of S_j S_j^T / m_j and S_j S_j^T / m'_j, with the diagonals of the mass matrix
-        and of the matrix of the solver.
+    responses: (2, 21) sums of S_j S_j^T / m_j and S_j S_j^T / m'_j, with the diagonals of the mass
+        matrix and of the matrix of the solver.
     """
     axis = axes[0] + axes[1] * mu[0] if mu else axes[0]
-    given: Sequence[ArticulatedInertia] = responses
-    own, solver = (axis.dot(K(axis)) for K in given)
+    own, solver = (axis.dot(ArticulatedInertia.from_lanes(unpack(x))(axis)) for x in responses)
     some = own > 0
     return jnp.where(some, own / jnp.where(some, solver, 1.0), 1.0)

@@ -46,8 +46,10 @@ class Softness(NamedTuple):
     def terms(
         self, r: Lane, rate: Lane, options: Options, *, spring: bool = True
     ) -> tuple[Lane, Lane]:
-        """Compute the inverse regularization and the reference acceleration at the residual r of
-        the position and its rate."""
+        """Compute the inverse regularization and the reference acceleration of a row.
+
+        r: residual of the position. rate: its rate. spring: whether the row has a stiffness.
+        """
         d, (dt, refsafe) = impedance(r, self.solimp), (options.dt, options.refsafe)
         if options.discrete:
             given = d, self.weight, self.solref, self.solimp, dt
@@ -100,7 +102,7 @@ class ScalarRow(NamedTuple):
         return cls(FRICTION, J, D, a, floss, source)
 
     def along(self, x: list[Lane]) -> Lane:
-        """Compute J x."""
+        """Compute J x, the acceleration along the row, from the lanes x of all dofs."""
         return _along(self.J, x)
 
     def stretched(self, own: Sequence[Lane], solver: Sequence[Lane]) -> ScalarRow:
@@ -114,7 +116,7 @@ class ScalarRow(NamedTuple):
         return self._replace(D=mul(self.D, jnp.where(some, a / jnp.where(some, b, 1.0), 1.0)))
 
     def response(self, r: Lane) -> tuple[Lane, Lane]:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at a residual r = J x - a_ref."""
         push = neg(mul(self.D, r))
         if self.kind == EQUALITY:
             return push, self.D
@@ -126,10 +128,10 @@ class ScalarRow(NamedTuple):
 
 
 def _along(J: Mapping[int, Lane], x: Any) -> Lane:
-    """Compute J x of a vector x (nv,) or its lanes."""
+    """Compute J x, for a row J (dof -> coefficient) and a vector x (nv,) or its lanes."""
     return inner(J.values(), [x[i] for i in J])
 
 
 def entry(column: Any, i: int, dtype: Any) -> Lane:
-    """Return an entry of a leaf (n,) as a lane."""
+    """Return entry i of a model parameter (n,) as a lane."""
     return lane(table(column, dtype), i)

@@ -269,7 +269,7 @@ class PredictiveController:
         return memory._replace(knots=knots, ctrl=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> PlannedControl:
-        """Return the control of the plan for its tick k."""
+        """Return the planned control at index k of the plan, with gains, state and status."""
         # with gaps, satisfied constraints of the planned states do not imply those of the motion
         off = jnp.maximum(memory.violation, memory.gap)
         broken = (off > self.violation) if self.problem.constraints else False

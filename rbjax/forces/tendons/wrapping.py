@@ -181,7 +181,7 @@ def _root(square: Lane) -> Lane:
 
 
 def _above(x: Lane, low: Lane) -> Lane:
-    """Return x if it is above a lower limit and not 0, else 1."""
+    """Return x if it is positive and not below a lower limit, else 1, as a divisor."""
     return where((x >= low) & (x > 0), x, jnp.ones_like(x))
 
 

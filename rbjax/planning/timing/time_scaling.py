@@ -173,7 +173,7 @@ def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
 
 
 def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
-    """Compute the bounds of x in [0, cap] for which some u satisfies a u + b x <= c."""
+    """Compute the interval of x in [0, cap] for which some u satisfies all a u + b x <= c."""
     # row i bounds u from above, row j from below; a row without u bounds x directly
     i, j, flat = a > 0, a < 0, a == 0
     eps = 64 * jnp.finfo(a.dtype).eps

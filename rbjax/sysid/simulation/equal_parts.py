@@ -88,7 +88,8 @@ def _structure(model: Model, part: Part) -> tuple:
 
 
 def extract_part(setup: Setup, part: Part) -> Setup:
-    """Extract the set-up of one part, with numbers as names: equal parts share a program."""
+    """Extract the set-up of one part. Its bodies and joints get numbers as names, equal in all
+    parts."""
     model, top, at = setup.model, setup.model.topology, part.joints
     parents, kinds, bodies, driven, acting = _structure(model, part)
     body_names, joint_names, actuator_names = (
@@ -189,7 +190,10 @@ def _separate(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Arr
 
 
 def _maker(entries: list[Any], shape: tuple[int, ...], dtype: Any) -> Callable:
-    """Create the function that builds a leaf from its common entries and entries of two vectors."""
+    """Return a function of two vectors that makes an array of a shape and dtype.
+
+    entries: for each entry of the array, a number, or (index of the vector, index in the vector).
+    """
 
     def make(*vectors: jax.Array) -> Any:
         if not any(isinstance(e, tuple) for e in entries):

@@ -205,10 +205,12 @@ def renews(now: SearchState, violation: jax.Array, satisfied: jax.Array) -> jax.
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Return whether the search has converged, by the expected decrease and the gradient.
+    """Return whether the search has converged, by the expected decrease of the cost and the
+    gradient.
 
-    The gradient must be small only if the control Hessians are regularised.
-    share: factor of the tolerance, the scale of the cost.
+    The gradient has to be small only if the control Hessians are regularised.
+
+    tolerance: relative to `share`, the scale of the cost.
     """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
@@ -268,7 +270,7 @@ def search(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
     options: Options, history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """Solve a problem with the steps of a policy."""
+    """Solve a problem by iterations whose steps a `StepPolicy` tries and accepts."""
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # L then has the augmented gradient
