@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.contact_rows import ContactSet, Options, World
+from rbjax.contact.contact_rows import ContactSet, World
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.inverse_weights import inverse_weights
@@ -19,6 +19,7 @@ from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
 from rbjax.contact.rows.dof_rows import dof_rows
 from rbjax.contact.rows.equality_rows import equality_rows
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
 from rbjax.contact.rows.tendon_weights import has_tendon_rows, tendon_weights

@@ -26,6 +26,7 @@ from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.contact.parameters import tangential_solref
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
+from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -82,24 +83,6 @@ def wrench_along(axes: Sequence[Motion], f: Sequence[Lane]) -> Force:
     return Force.from_lanes(
         [total(mul(x, y) for x, y in zip(row, f, strict=True)) for row in components]
     )
-
-
-class Options(NamedTuple):
-    """Options that all contacts of a problem share.
-
-    Fields:
-        elliptic: whether friction cones are elliptic or pyramids.
-        impratio: impedance of friction over the impedance of the normal row.
-        dt: step in s, from which the least time constant of a contact follows.
-        refsafe: whether time constants are at least two steps.
-        discrete: whether the rows are those of the `discrete` integrator.
-    """
-
-    elliptic: bool
-    impratio: Lane
-    dt: Any
-    refsafe: bool
-    discrete: bool = False
 
 
 class World(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow, Softness, entry
 from rbjax.lanes import Lane, Vec3, neg
 from rbjax.model import Model

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from rbjax.constraints import Soft
 from rbjax.constraints.equations.model_rows import gradient_by_dof, rows_of
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import EQUALITY, ScalarRow
 from rbjax.errors import InputError
 from rbjax.forces.context import Context

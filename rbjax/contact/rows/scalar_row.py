@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import end_of_step, impedance, reference, regularisation
 from rbjax.lanes import Lane, inner, mul, neg, sub, total
 from rbjax.model.leaves import numbers, table

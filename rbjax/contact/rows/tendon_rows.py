@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow, Softness, entry
 from rbjax.forces.context import Context
 from rbjax.forces.reach import Reach
