@@ -1,8 +1,9 @@
-"""The contact problem of a tree that touches only the world, by articulated-body sweeps.
+"""The contact problem of a tree by articulated-body sweeps.
 
 If the contacts of a link are with the world, K = sum of b_k H_kl b_l^T adds to its inertia, and the
 Hessian of the problem is the mass matrix of a tree with these inertias. One sweep of ABA factorizes
 it in O(n), without the matrix. Vectors and rows are in the axes of their link, at its origin.
+Contacts of two links that move are left to `conjugate_gradients`.
 
 Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7; Sathya & Carpentier, *Constrained
 articulated body dynamics algorithms*, 2024.
@@ -43,7 +44,7 @@ class ArticulatedTree(NamedTuple):
         d: driver whose whole form is a list.
         joints: joint motions, per link.
         touching: the links that can touch the world.
-        link_pairs: (WORLD, link) for each of them.
+        link_pairs: (WORLD, link) for each link that can touch the world.
         weights: inverse inertia of each dof, which scales the error.
     """
 

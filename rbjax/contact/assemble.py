@@ -72,14 +72,18 @@ class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
     The origin is the last link of the first body that moves. `dt` is the step in s, None for the
-    model's timestep, and `t` the time in s, which constraints read.
+    model's timestep, and `t` the time in s, which constraints read. `values`: whether the problem
+    is solved without derivatives, so that an iteration may treat contacts inside a tree.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
+    def __init__(
+        self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0,
+        *, values: bool = False,
+    ):  # fmt: skip
         model = _in_dtype(model, q.dtype)
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
         self.dt = model.timestep if dt is None else dt
-        self.touching = Touching.of(model)
+        self.touching, self.values = Touching.of(model), values
         self.d = self._driver()
         self.joints = self.d.joints(q, v)
         poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
@@ -110,11 +114,18 @@ class Assembly:
 
     @cached_property
     def _articulated(self) -> bool:
-        """Whether all contacts are with the world, other rows are on single dofs, and all links are
-        rigid."""
-        world = all(WORLD in pair for pair in self.touching.link_pairs)
+        """Whether articulated-body sweeps solve the problem: all links are rigid, other rows are on
+        single dofs, and contacts are with the world or, for values, inside one tree.
+
+        A contact inside a tree, as of a hand with a thigh, is rare and costs iterations of
+        conjugate gradients. A contact of two trees, as of a hand with an object, lasts, so a
+        factorization in joint space is faster.
+        """
+        roots = [path[0] for path in self.top.ancestors]
+        apart = [pair for pair in self.touching.link_pairs if WORLD not in pair]
+        inside = all(roots[a] == roots[b] for a, b in apart) if self.values else not apart
         rigid = not any(dof.kind.modal for dof in self.top.dofs)
-        return rigid and world and not self._rows_of_several_dofs
+        return rigid and inside and not self._rows_of_several_dofs
 
     @property
     def _rows_of_several_dofs(self) -> bool:
@@ -124,14 +135,15 @@ class Assembly:
         return balls or has_tendon_rows(self.model) or bool(self.model.constraints)
 
     def _tree(self) -> Tree | ArticulatedTree:
-        links = self.touching.links, self.touching.link_pairs
+        moving, pairs = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            return ArticulatedTree(self.d, self.joints, *links, weights)
+            world = [pair for pair in pairs if WORLD in pair]  # the first ones
+            return ArticulatedTree(self.d, self.joints, moving, world, weights)
         both = zip(self._poses, self.joints, strict=True)
         S = [pose.motion_to_parent(joint.S) for pose, joint in both]
         M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
-        return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
+        return Tree(self.top.parents, self.top.ancestors, S, M, moving, pairs, weights)
 
     def _world(self) -> World:
         own: Any = self.model.geoms
@@ -180,12 +192,16 @@ class Assembly:
             given, weights.sum(-1), self._options, self.q.dtype,
         )  # fmt: skip
         sets = []
-        for dim in sorted(set(given.condim)):
+        apart = [
+            self._articulated and WORLD not in touching.link_pairs[k] for k in touching.pair_of
+        ]
+        sorts = list(zip(given.condim, apart, strict=True))
+        for dim, coupled in sorted(set(sorts)):
             kinds: dict[PairKind, list[int]] = {}
             for n, pair in enumerate(pairs):
-                if given.condim[n] == dim:
+                if sorts[n] == (dim, coupled):
                     kinds.setdefault(PairKind.of(geoms, pair), []).append(n)
-            sets.append(ContactSet(dim, kinds, *tables))
+            sets.append(ContactSet(dim, kinds, *tables, coupled))
         return sets
 
     @property

@@ -97,7 +97,7 @@ def rows_of_slots(
             row, (rows, wrenches) = slots.row(k, of.dim), carry
             f = of.cone(row).response([r[k, i] for i in range(of.dim)]).f
             values = _row(place_of(row.contact), origin, f, rows[0])
-            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            wrenches = of.add_forces(row, wrenches, f)
             return rows.at[row.candidate].set(values), wrenches
 
         none = _no_contacts(contacts, problem.dtype)
@@ -121,7 +121,7 @@ def rows_of_candidates(
             f = [jnp.where(active, x, 0.0) for x in f]
             values = _row(place_of(row.contact), origin, f, rows[0])
             values = jnp.where(row.contact.exists, values, rows[k])
-            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            wrenches = of.add_forces(row, wrenches, f)
             return rows.at[k].set(values), wrenches
 
         start = _no_contacts(contacts, problem.dtype), wrenches

@@ -264,10 +264,10 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
                 row = slots.row(k, of.dim)
                 cone = of.cone(row)
                 sticks, _, t = cone.slip(_residual(r, k))
-                rate = row.along(of.relative(row, moving))[0]
+                rate = of.rates(row, moving)[0]
                 change = jnp.where(sticks | (r[k, 0] >= 0), 0.0, -row.D * rate)
                 f = [0.0, *(-change * m * u for m, u in zip(cone.mu, t, strict=True))]
-                return of.add_wrench(row, out, row.wrench(f))
+                return of.add_forces(row, out, f)
 
             wrenches = slots.scan(push, wrenches)
         return pack(tree.generalized(wrenches), y)

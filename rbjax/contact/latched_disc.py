@@ -202,7 +202,7 @@ class DiscSet(ContactSet):
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
         """Compute the rows of a contact. If it is not active, D is 0."""
-        margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
+        margin, (axes,) = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
         e = contact_frame(contact.normal, contact.tangent)
         memory = self.memory[candidate]
         s = [x.dot(Vec3(*(memory[i] for i in range(1, 4)))) for x in e[1:]]
@@ -210,7 +210,7 @@ class DiscSet(ContactSet):
             turn = Vec3(*(memory[i] for i in range(4, 7)))
             s += [x.dot(turn) for x in e][: self.dim - 3]
         row = DiscRow(pair, axes, 0.0, [], candidate, s, list(e))
-        v = row.along(self.relative(row, world.twists))  # type: ignore[arg-type]
+        v = self.rates(row, world.twists)  # type: ignore[arg-type]
         r = jnp.where(active, contact.distance - margin, 0.0)
         given = self.parameters
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)

@@ -191,7 +191,7 @@ class Problem:
             def push(wrenches: jax.Array, row: Any, active: Any, of: Any = contacts) -> jax.Array:
                 r = residual(of, row, twists)
                 f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
-                return of.add_wrench(row, wrenches, row.wrench(f))
+                return of.add_forces(row, wrenches, f)
 
             wrenches = contacts.scan(self.touching, push, wrenches)
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
@@ -204,7 +204,7 @@ class Problem:
 
 def residual(contacts: ContactSet, row: Any, twists: jax.Array) -> list[Lane]:
     """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
-    y = row.along(contacts.relative(row, twists))
+    y = contacts.rates(row, twists)
     return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
 
 

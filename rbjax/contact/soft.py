@@ -35,11 +35,13 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0,
+    dt: Any = None, t: Any = 0.0, *, values: bool = False,
 ) -> Problem:  # fmt: skip
-    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
-    for the model's timestep."""
-    problem = Assembly(model, q, v, dt, t).problem(tau, f_ext)
+    """Return the contact problem of a model, with its active contacts.
+
+    `dt` is the step, or None for the model's timestep. `values` is as in `Assembly`.
+    """
+    problem = Assembly(model, q, v, dt, t, values=values).problem(tau, f_ext)
     return problem.detect()
 
 
@@ -55,13 +57,13 @@ def contact_acceleration(
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t))
 
-    def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
+    def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
         model, f_ext, dt, t = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt, t)
+        problem = detected(model, q, v, tau, f_ext, dt, t, values=values)
         return problem, solve(problem, iterations=iterations)
 
     def plain(*at):
-        return batch_first(_with_report(solved_at(*at)[1]), at)
+        return batch_first(_with_report(solved_at(*at, values=True)[1]), at)
 
     def solved(*at):
         problem, found = solved_at(*at)

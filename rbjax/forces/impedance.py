@@ -152,7 +152,8 @@ def _clip(x: Lane, low: float, high: float) -> Lane:
 
 
 def _power(x: Lane, power: Lane) -> Lane:
-    """Compute x^power. A literal integer is a product, which has derivatives of any order."""
+    """Compute x^power. For a literal integer power it is a product of x, with derivatives of any
+    order."""
     if is_literal(power) and power == int(power):
         return x ** int(power)
     return x**power

@@ -168,7 +168,7 @@ class Field:
 
     @property
     def law(self) -> Any:
-        """The dynamics; a law of soft contact has the step of the field, unless it has its own."""
+        """The dynamics. A law of soft contact without a step gets the step of the field."""
         dynamics = self.dynamics
         if isinstance(dynamics, SoftContact) and dynamics.dt is None:
             return replace(dynamics, dt=self.dt)

@@ -64,7 +64,7 @@ class ImplicitVelocity:
         return State(field.retract(state.q, dt * v), v, x, *kept)
 
     def _damping(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """Compute the entries of D."""
+        """Compute the entries (i, j) -> value of the implicit damping matrix D."""
         model = field.precomputed
         turning = self._with_bias(model.topology)
         found = field.slopes(t, state, u, dt, of=self.of)

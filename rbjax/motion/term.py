@@ -233,12 +233,12 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
 
 
 def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """Set the time and state of the start of the step in the vector fields of the terms."""
+    """Set the start (time, state) of the current step in the vector fields of `terms`."""
     return _of_fields(terms, begun=begun)
 
 
 def _of_fields(terms: Any, **changes: Any) -> Any:
-    """Change fields of the vector fields of the terms."""
+    """Return `terms` with fields of its vector fields changed."""
 
     def of(x: Any) -> Any:
         return dataclasses.replace(x, **changes) if is_field(x) else x

@@ -187,7 +187,7 @@ def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax
 
 
 def _back(y: Vec3, p: Vec3, c1: Lane, c2: Lane) -> Vec3:
-    """Rotate a vector by -y: exp(-[y]) p."""
+    """Rotate p by the rotation vector -y: exp(-[y]) p = p - c1 y x p + c2 y x (y x p)."""
     across = y.cross(p)
     return p - across * c1 + y.cross(across) * c2
 

@@ -58,7 +58,8 @@ class TendonSprings(Element):
         return out
 
     def energy(self, context: Context) -> Lane:
-        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...) over stretches x of
+        tendons, J."""
         return total(_energy(context, i, k) for i, k, _ in _springs(context))
 
 

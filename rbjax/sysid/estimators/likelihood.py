@@ -236,7 +236,10 @@ class Likelihood:
 def _score_rows(
     z: jax.Array, S: jax.Array, dz: jax.Array, dS: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the rows J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
+    """Compute the rows J (m + m m, n) and r (m + m m,) of one sample.
+
+    z, S: innovation (m,) and its covariance. dz, dS: their derivatives (n, m) and (n, m, m).
+    """
     L = jnp.linalg.cholesky(S)
     half = functools.partial(solve_triangular, L, lower=True)
     e = half(z)
