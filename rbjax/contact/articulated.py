@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import inertia_of_row, stacked
+from rbjax.contact.problem import stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
 from rbjax.dynamics.drivers.contract import Driver
@@ -93,7 +93,8 @@ class ArticulatedTree(NamedTuple):
         rows: scalar rows with their Hessians; each row acts on one dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()
-        K = {link: inertia_of_row(stiffness[k]) for k, (_, link) in enumerate(self.link_pairs)}
+        pairs = enumerate(self.link_pairs)
+        K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
         extra: dict[int, Lane] = {}
         for row, h in rows:
             for i, x in row.J.items():

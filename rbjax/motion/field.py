@@ -24,7 +24,7 @@ from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
-from rbjax.forces.acting import applied, slopes, within
+from rbjax.forces.acting import applied, slopes, stable_slopes, within
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import Slope
@@ -126,9 +126,16 @@ class Field:
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute M a (nv,) of free motion, x (nx,) after a step dt, memory and report."""
-        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
-        bias = forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
-        return tau - bias, x, self.kept(state, None)
+        tau, f_ext, x = self.step_forces(t, state, u, dt)
+        return tau - self.bias(state, f_ext), x, self.kept(state, None)
+
+    def step_forces(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple:
+        """Compute the generalized forces (nv,), forces on links, and x (nx,) after a step dt."""
+        return applied(self.precomputed, t, state, u, dt, advance=True)
+
+    def bias(self, state: State, f_ext: LinkForces) -> jax.Array:
+        """Compute b - J^T f_ext (nv,)."""
+        return forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute the acceleration (nv,), x (nx,) after a step dt, memory and report."""
@@ -203,6 +210,12 @@ class Field:
     ) -> list[Slope]:
         """List the stiffness and damping of the forces, or of the elements of a class."""
         return slopes(self.precomputed, t, state, u.ctrl, dt, of=of)
+
+    def stable_slopes(
+        self, t: Any, state: State, u: Inputs, dt: Any
+    ) -> tuple[list[Slope], list[Slope]]:
+        """List the stiffness and damping of the forces, none below zero."""
+        return stable_slopes(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
         """Return the state for the rates of a stage, in a step that begins at (t0, start)."""
