@@ -385,7 +385,7 @@ def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
-    """Return a copy of the barrier `eqn` for other values."""
+    """Return a copy of the optimization barrier `eqn` for other values."""
     return eqn.replace(outvars=[Var(a.aval) for a in some])
 
 

@@ -203,7 +203,8 @@ class Reader:
         make: Callable[[list], Any] = list,
         names: frozenset[str] = frozenset(),
     ) -> tuple[Any, Maker]:
-        """Read the parts of an object; return its key, and the function that rebuilds it."""
+        """Read the parts of an object. Return its key (`about`, then the keys of the parts) and its
+        maker, which is None if no part has operands."""
         parts = list(parts)
         read = [self.read(x, held, names) for x in parts]
         key = (about, *(k for k, _ in read))

@@ -181,7 +181,7 @@ class WaveSearch:
         return free, kept
 
     def first_of(self, cell: np.ndarray) -> np.ndarray:
-        """Return, for each number, whether it is the first occurrence of its value."""
+        """Return, for each cell index, whether it is the first occurrence of its value."""
         number = np.arange(len(cell), dtype=np.int32)
         self.first[cell[::-1]] = number[::-1]  # of several assignments, the last one remains
         return self.first[cell] == number

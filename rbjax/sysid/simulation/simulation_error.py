@@ -217,7 +217,7 @@ class SimulationError:
         return self.programs.colour(frozenset(self.runs.values))
 
     def _seeded_slopes(self, x: np.ndarray) -> Any:
-        """Compute r (runs, rows) and its derivatives along the seeds.
+        """Compute r (runs, rows) and its derivatives along the seeds of `colouring`.
 
         The last result is cached, since the statistics of a fit use the derivatives of its last
         step.
@@ -293,7 +293,7 @@ class SimulationError:
         return found
 
     def _bases(self) -> dict[str, list[np.ndarray | None]]:
-        """Return the matrix that expands seed derivatives to the entries of x, by sensor and
+        """Return the matrix from derivatives along the seeds to derivatives by x, by sensor and
         column. Equal matrices are one object."""
         coloured = self.colouring
         found: dict[str, list[np.ndarray | None]] = {}
@@ -321,8 +321,8 @@ class SimulationError:
         return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
-        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their seed
-        derivatives."""
+        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their
+        derivatives J along the seeds of `colouring`."""
         n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
