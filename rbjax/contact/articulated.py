@@ -87,9 +87,8 @@ class ArticulatedTree(NamedTuple):
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize the Hessian of the contact problem, without contacts between two links.
 
-        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world,
-            the sum
-        of b_k H_kl b_l^T over their rows (`Row.stiffness`).
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians; each row acts on one dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()

@@ -98,9 +98,8 @@ class Tree(NamedTuple):
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links, the sum
-            of
-        b_k H_kl b_l^T over their rows (`Row.stiffness`).
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]

@@ -241,7 +241,8 @@ class SoftContact:
         return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
-        """Raise InputError if the law of a name has no parameters for a model."""
+        """Raise InputError if a model lacks the parameters of contact. name: the law, for the
+        message."""
         if model.solver is None or model.geoms is None:
             raise InputError(
                 f"{where}: contact={name!r} needs the contact parameters of a file, and the model "

@@ -134,7 +134,8 @@ class Field:
         return applied(self.precomputed, t, state, u, dt, advance=True)
 
     def bias(self, state: State, f_ext: LinkForces) -> jax.Array:
-        """Compute b - J^T f_ext (nv,)."""
+        """Compute the generalized bias forces b - J^T f_ext (nv,) at a state under forces
+        on links."""
         return forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
