@@ -106,7 +106,10 @@ def _near(
     flat = gaps[k] <= least + size * (0.01 * small)
     nearest = _nearest(A, B, d, found, small)
     spot = jnp.stack([nearest.dot(x), nearest.dot(y), nearest.dot(n)])
-    start = jnp.where(flat, corners[k], spot)
+    # a vertex at the nearest points has their derivative, and not that of two edges that cross
+    off = corners[k] - spot
+    single = (off * off).sum() < (1e-4 * size) ** 2
+    start = jnp.where(flat & ~single, corners[k], spot)
     distances, points, exist = _spread(corners, gaps, used & (gaps <= reach), start, size * small)
     distances = [jnp.where(flat, gaps[k], least), *distances]
     out = []
