@@ -21,6 +21,8 @@ KINDS = ("cylinder", "box")
 REACH = 0.05
 #: poses of a call
 BATCH = 100
+#: distance and normal, of distance, position and normal
+CERTAIN = np.array([0, 4, 5, 6])
 
 
 @functools.cache
@@ -251,7 +253,7 @@ def test_derivatives(kind, dtype) -> None:
 
     def both(p, R, x, dx):
         value, slope = jax.jvp(lambda x: first(p, R, x), (x,), (dx,))
-        return value, slope, jax.grad(lambda x: first(p, R, x).sum())(x)
+        return value, slope, jax.grad(lambda x: first(p, R, x)[CERTAIN].sum())(x)
 
     f = jax.jit(jax.vmap(rb.threads(both)))
     p, R = at_depth(kind, 30, np.full(30, -1e-3))
@@ -263,14 +265,16 @@ def test_derivatives(kind, dtype) -> None:
     value, slope, reverse = f(p, R, 0 * dx, dx)
     assert value.dtype == dtype
     assert all(np.isfinite(x).all() for x in (value, slope, reverse))
+    # of the distance and the normal; the point of a contact may be one of several at one place
     np.testing.assert_allclose(
-        (reverse * dx).sum((1, 2)), slope.sum(1), atol=1e-8 if dtype == jnp.float64 else 0.05
+        (reverse * dx).sum((1, 2)),
+        slope[:, CERTAIN].sum(1),
+        atol=1e-8 if dtype == jnp.float64 else 0.05,
     )
     if dtype == jnp.float64:
         there, back = (f(p, R, h * dx, dx)[0] for h in (1e-6, -1e-6))
-        error = np.abs((there - back) / 2e-6 - slope)[:-4].max(1)
-        assert (error < 1e-5).mean() > 0.6, np.sort(error)
-        assert (error[np.abs(slope[:-4]).max(1) < 30] < 1e-5).mean() > 0.6
+        error = np.abs((there - back) / 2e-6 - slope)[np.arange(30) % 3 > 0][:-2]
+        assert (error[:, CERTAIN].max(1) < 1e-5).mean() > 0.9, np.sort(error.max(1))  # not parallel
 
 
 def test_a_cylinder_rests_on_a_box() -> None:
