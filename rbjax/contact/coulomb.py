@@ -100,7 +100,8 @@ class CoulombContact:
         return jnp.zeros(size + 1, model.gravity.dtype)
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
+        """Return the largest solver error of a step that counts as converged. dtype: of
+        the motion."""
         return LATCHED[jnp.dtype(dtype).itemsize]
 
     def solver_error(self, memory: jax.Array) -> jax.Array:

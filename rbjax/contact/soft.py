@@ -195,7 +195,8 @@ class SoftContact:
         return a, error
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
+        """Return the largest solver error of a step that counts as converged. dtype: of
+        the motion."""
         return tolerance_of(dtype)
 
     def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
