@@ -27,7 +27,7 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 class Factors(NamedTuple):
     """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
-    contacts."""
+    limits and of the contacts with the world."""
 
     d: Driver
     factors: Any
@@ -85,9 +85,10 @@ class ArticulatedTree(NamedTuple):
         return unpack(d.pack(d.inward(inward, zero, xs), like))
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
-        """Factorize the Hessian of the contact problem.
+        """Factorize the Hessian of the contact problem, without contacts between two links.
 
-        stiffness: (n, 21) sum of J^T H J of the contacts of each link, a symmetric 6 by 6 matrix.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians; each row acts on one dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()

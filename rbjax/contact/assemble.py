@@ -164,13 +164,14 @@ class Assembly:
         return [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
 
     def _inverse_diagonals(self) -> tuple[list[Lane], list[Lane]]:
-        """Compute 1 / m_j of the mass matrix and of the matrix of the solver."""
+        """Compute the inverse diagonal entries 1 / m_j of the mass matrix, and of the solver's
+        matrix."""
         own = [row[-1] for row in self._mass_matrix]
         solver = [add(m, (self.added or {}).get((i, i), 0.0)) for i, m in enumerate(own)]
         return [1.0 / m for m in own], [1.0 / m for m in solver]
 
     def _responses(self) -> jax.Array | None:
-        """Compute `World.responses`."""
+        """Compute the field `responses` of `World`; None unless matrix terms are added."""
         if self.added is None:
             return None
         tables = []

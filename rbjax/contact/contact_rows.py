@@ -142,7 +142,7 @@ class ContactSet:
         return Cone(self.options.elliptic, row.D, tuple(mu), self.options.impratio)
 
     def rates(self, row: Row, twists: jax.Array) -> list[Lane]:
-        """Compute J v of a contact from the twists of the links."""
+        """Compute the velocity along each row of a contact, J v, from the link twists at v."""
         one, other = (unpack(twists[k]) for k in self._ends(row))
         if not self.coupled:
             return row.along(Motion.from_lanes([y - x for x, y in zip(one, other, strict=True)]))
@@ -151,14 +151,14 @@ class ContactSet:
         return [b.dot(second) - a.dot(first) for a, b in both]
 
     def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
-        """Add J^T f of a contact to the wrenches on the links."""
+        """Add the forces f along the rows of a contact to the wrenches on its two links."""
         one, other = self._ends(row)
         second = jnp.stack(list(row.wrench(f)))
         first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
         return wrenches.at[one].add(-first).at[other].add(second)
 
     def _ends(self, row: Row) -> list[Any]:
-        """Return the index of both links of a contact."""
+        """Return the indices of the two links of a contact."""
         return [_entry(self.links[:, k], row.pair) for k in (0, 1)]
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:

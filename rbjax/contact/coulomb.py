@@ -111,7 +111,7 @@ class CoulombContact:
         return LATCHED[jnp.dtype(dtype).itemsize]
 
     def solver_error(self, memory: jax.Array) -> jax.Array:
-        """Return the error of the step before a memory."""
+        """Return the error of the step that returned a memory (m,)."""
         return memory[..., -1]
 
     def advance_velocity(

@@ -98,8 +98,8 @@ class Tree(NamedTuple):
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) sum of J^T H J of the contacts of each pair of links, a symmetric 6 by 6
-            matrix.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]

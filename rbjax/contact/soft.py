@@ -198,7 +198,7 @@ class SoftContact:
         return tolerance_of(dtype)
 
     def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
-        """Compute some of the results of `contact_acceleration`."""
+        """Compute the results of `contact_acceleration` that the slice `which` selects."""
         model, q, v, tau, *rest = self._arguments(*given)
 
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
@@ -245,7 +245,8 @@ class SoftContact:
         return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
-        """Raise InputError if the law of a name has no parameters for a model."""
+        """Raise InputError if a model lacks the parameters of contact. name: the law, for the
+        message."""
         if model.solver is None or model.geoms is None:
             raise InputError(
                 f"{where}: contact={name!r} needs the contact parameters of a file, and the model "

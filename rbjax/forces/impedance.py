@@ -105,7 +105,7 @@ class EndOfStep(NamedTuple):
     factor: Lane
 
     def reference(self, r: Lane, velocity: Lane) -> Lane:
-        """Compute the reference acceleration."""
+        """Compute the reference acceleration at the residual r and its rate `velocity`."""
         return neg(add(mul(self.spring, r), mul(self.damper, velocity)))
 
 
@@ -138,7 +138,8 @@ def end_of_step(
 
 
 def _resolved(k: Lane, b: Lane, d: Lane, solref: Sequence[Lane], dt: Lane) -> tuple[Lane, Lane]:
-    """Return the stiffness and damping that a step resolves, of a row with a time constant."""
+    """Return stiffness and damping of a row with a time constant, limited to those that a step
+    resolves."""
     first, second = solref
     excess = mul(mul(mul(dt, dt), k), d)
     stiff = (excess > 1) & ((first > 0) | (second > 0))

@@ -135,7 +135,8 @@ class Field:
         return applied(self.precomputed, t, state, u, dt, advance=True)
 
     def bias(self, state: State, f_ext: LinkForces) -> jax.Array:
-        """Compute b - J^T f_ext (nv,)."""
+        """Compute the generalized bias forces b - J^T f_ext (nv,) at a state under forces
+        on links."""
         return forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
@@ -145,11 +146,12 @@ class Field:
         return a, x, self.kept(state, error)
 
     def kept(self, state: State, error: jax.Array | None) -> tuple:
-        """Return memory and report after a step with accelerations of an error."""
+        """Return memory and report of the state after a step. error: the error of the contact
+        solver."""
         return state.memory, self.report(state, error)
 
     def report(self, state: State, error: jax.Array | None) -> jax.Array | None:
-        """Return the report of a state after a step with an error of the solver."""
+        """Return the report of a state after a step. error: the error of the contact solver."""
         if state.report is None or error is None:
             return state.report
         return with_step(state.report, error, self.dynamics.solver_tolerance(error.dtype))

@@ -169,7 +169,8 @@ def advance_state(
     """Advance a state by a step of any integrator, clip the states of force elements to their
     ranges, and project the state onto the constraints of a formulation.
 
-    The report of an integrator that returns none has the error at the start of the step.
+    If the integrator returns no report of the contact solver, the error at the start of the step
+    counts.
     """
     after: Any = integrator(field, t, state, u, dt)
     if state.report is not None and isinstance(after, State) and after.report is None:

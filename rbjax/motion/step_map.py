@@ -58,12 +58,12 @@ def step_map(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
 
 
 def _weight(slope: Slope, dt: Any) -> Lane:
-    """Compute h d + h^2 k."""
+    """Compute h d + h^2 k, the term of the step's matrix from one stiffness and damping."""
     return add(mul(dt, slope.damping), mul(mul(dt, dt), slope.stiffness))
 
 
 def _stiff_forces(slopes: list[Slope], v: jax.Array) -> list[Lane]:
-    """Compute K v."""
+    """Compute K v (nv lanes), with the stiffness matrix K of the slopes."""
     out: list[Lane] = [0.0] * len(v)
     for slope in slopes:
         if not is_zero(slope.stiffness):
@@ -74,7 +74,8 @@ def _stiff_forces(slopes: list[Slope], v: jax.Array) -> list[Lane]:
 
 
 def _coupling(slopes: list[Slope], rows: jax.Array, dt: Any) -> list[Lane]:
-    """Add to the rows of each dof the implicit forces of tendons and actuators on it."""
+    """Add 1 to the counts `rows` (nv,) for each implicit force of a tendon or an actuator
+    on a dof."""
     out = [rows[i] for i in range(len(rows))]
     for slope in slopes:
         acts = jnp.where(jnp.asarray(_weight(slope, dt)) > 0, 1.0, 0.0).astype(rows.dtype)
@@ -84,7 +85,11 @@ def _coupling(slopes: list[Slope], rows: jax.Array, dt: Any) -> list[Lane]:
 
 
 def _gyroscopic(field: Field, state: State, rows: list[Lane], dt: Any) -> dict:
-    """Compute h db/dv of the bodies that float freely, zero if a row or a force is on them."""
+    """Compute h db/dv of bodies that float freely, by entry; zero if a row or an implicit force
+    acts.
+
+    rows: number of rows and forces on each dof.
+    """
     top, out = field.precomputed.topology, dict[tuple[int, int], Lane]()
     turning = floating(top)
     if not turning:

@@ -140,7 +140,7 @@ class MoreauContact(Record):
         return CONVERGED
 
     def solver_error(self, memory: jax.Array) -> jax.Array:
-        """Return the residual of the step before a memory."""
+        """Return the residual in m/s of the step that returned a memory (m,)."""
         return memory[..., -1]
 
     def advance_velocity(
