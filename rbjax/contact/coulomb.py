@@ -104,7 +104,7 @@ class CoulombContact:
         return LATCHED[jnp.dtype(dtype).itemsize]
 
     def solver_error(self, memory: jax.Array) -> jax.Array:
-        """Return the error of the step before a memory."""
+        """Return the error of the step that returned a memory (m,)."""
         return memory[..., -1]
 
     def advance_velocity(
@@ -137,9 +137,9 @@ class CoulombContact:
             *at, a = at_and_a
             assembly, problem = problem_at(*at)
             _, f_ext, *_ = rebuilt(at[0])
-            tau, d = at[3], assembly.d
+            tau = at[3]
             pushes = pack(problem.constraint_forces(a), tau)
-            return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
+            return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
         def remembered(*at_and_after: Any) -> jax.Array:
             *at, a, memory = at_and_after

@@ -212,9 +212,9 @@ def _entries(
 ) -> list[list[Lane]]:
     """Compute, link by link, the entries of one column of `count` matrices `pair_matrix`.
 
-    rows: the numbers of all links. own: the numbers of the link of the column. places: for each
-        link,
-    its entry in this column of `which_moves`. start: index of the first number of a link's vectors.
+    rows: the numbers of all links. own: the numbers of the link of the column.
+    places: for each link, its entry in this column of `which_moves`.
+    start: index of the first number of a link's vectors.
     """
     out: list[list[Lane]] = []
     for row in rows:

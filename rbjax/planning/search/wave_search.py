@@ -38,7 +38,7 @@ def join(parts: list[Nodes]) -> Nodes:
 
 
 def add_to(shelves: Shelves, costs: np.ndarray, nodes: Any) -> None:
-    """Add nodes to the lists of their costs (n,), in order."""
+    """Add nodes to the lists by cost of `shelves`. costs: (n,), one for each node."""
     order = np.argsort(costs, kind="stable")
     values, first = np.unique(costs[order], return_index=True)
     for cost, *ends in zip(values, first, [*first[1:], None], strict=False):
