@@ -107,7 +107,8 @@ def _crossings(links: LinkMotion, pieces: Iterable[Piece]) -> dict[int, tuple]:
 
 
 def _sum(pieces: Sequence[Piece], crossing: tuple) -> tuple[Vec3, Vec3, Vec3]:
-    """Sum the pulls of pieces on a dof: point, force, and moment about the point, in world axes.
+    """Sum the pulls of pieces on a dof. Return a point, the force, and the moment about the point,
+    in world axes.
 
     crossing: pairs (index of a piece, True if the dof moves the piece's end and not its start).
     """

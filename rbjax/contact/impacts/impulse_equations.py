@@ -42,7 +42,8 @@ class ImpulseProblem(NamedTuple):
     dry: Any = 0.0
 
     def friction(self, normal: jax.Array) -> jax.Array:
-        """Compute the largest friction (n,) at normal impulses (n,); 0 for infinite friction."""
+        """Compute the largest friction impulses (n,) at normal impulses (n,). An infinite
+        coefficient counts as 0."""
         return jnp.where(jnp.isinf(self.mu), 0, self.mu) * normal + self.dry
 
 

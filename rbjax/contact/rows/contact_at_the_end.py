@@ -43,8 +43,9 @@ def contact_at_the_end(
 
 
 def stretch(axes: Sequence[Motion], mu: Sequence[Lane], responses: jax.Array) -> Lane:
-    """Compute sum J_j^2 / m_j over sum J_j^2 / m'_j of MuJoCo's first row of a contact, which is
-    its normal, or the first edge of a pyramid with the friction mu.
+    """Compute the ratio sum J_j^2 / m_j over sum J_j^2 / m'_j of the first row of a contact.
+
+    The first row is the normal, or the first edge of a pyramid with the friction mu.
 
     responses: (2, 21) sums of S_j S_j^T / m_j and S_j S_j^T / m'_j, with the diagonals of the mass
         matrix and of the matrix of the solver.

@@ -53,7 +53,7 @@ class PoseLane:
 
 
 class Constants:
-    """A placeholder for the constants of the links, as a leaf among columns."""
+    """A placeholder for the constants of the links, used as a leaf of a pytree of columns."""
 
 
 class Iteration:
