@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
+from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
@@ -144,13 +145,18 @@ class SimulationError:
 
     x (n + runs l,) contains the unknowns p (n,) and l corrections of each initial state. l is 2 nv,
     or 0 if initial states are not estimated.
+
+    With a `difference_step` h the slopes are central differences. The steps have the length h in
+    the metric of the divergence: h times a positive parameter.
     """
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         estimate_initial_state: bool | None = None, loss: str = "squares",
+        difference_step: float | None = None,
     ):  # fmt: skip
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
+        self.difference_step = difference_step
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.all_starts = estimate_initial_state is True  # also the known initial states
@@ -158,6 +164,12 @@ class SimulationError:
         if estimate_initial_state is None:
             estimate_initial_state = not np.asarray(runs.known).all()
         self.own = 2 * setup.model.nv if estimate_initial_state else 0
+        if self.own and difference_step is not None:
+            raise InputError(
+                "identify: difference_step with initial states that are estimated, expected known "
+                "ones; give estimate_initial_state=False, or recordings that start from known q "
+                "and v"
+            )
         self.programs: Programs = get_cached(make_programs, setup, unknowns, grid, self.own, loss)
         self._last: tuple[np.ndarray, Any] | None = None
 
@@ -213,7 +225,9 @@ class SimulationError:
 
     @property
     def colouring(self) -> Colouring | None:
-        """The colouring of the Jacobian."""
+        """The colouring of the Jacobian. Differences are along each unknown."""
+        if self.difference_step is not None:
+            return None
         return self.programs.colour(frozenset(self.runs.values))
 
     def _seeded_slopes(self, x: np.ndarray) -> Any:
@@ -223,9 +237,18 @@ class SimulationError:
         step.
         """
         if self._last is None or not np.array_equal(self._last[0], x):
-            found = self.programs.slopes(self.by_run(x), self.runs)
+            if self.difference_step is None:
+                found = self.programs.slopes(self.by_run(x), self.runs)
+            else:
+                found = self._differences(x, self.difference_step)
             self._last = np.array(x), jax.tree.map(np.asarray, found)
         return self._last[1]
+
+    def _differences(self, x: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the residuals r (runs, rows) and their central differences (runs, rows, n)."""
+        moves = self.divergence(x, x).moves(h)
+        columns = [(self.residuals(x + d) - self.residuals(x - d)) / (2 * d.sum()) for d in moves]
+        return self.residuals(x), np.stack(columns, -1)
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the residuals r (runs, rows) and the Jacobian J (runs, rows, n + l), by sorted
