@@ -66,9 +66,9 @@ def _options(
 
 @contextlib.contextmanager
 def _progress(*, log: bool = False) -> Iterator[Any]:
-    """Show a spinner with the time on stderr; yield the functions (say, advance).
+    """Show a spinner on stderr. Yield say(text), and advance(done, total) for its bar.
 
-    log: whether each step prints a line if stderr is not a terminal.
+    log: whether each text is printed as a line if stderr is not a terminal.
     """
     if log and not err.is_terminal:
         begin = time.perf_counter()

@@ -54,8 +54,8 @@ def compiler_options() -> dict[str, Any]:
 
 
 def wide_vectors() -> dict[str, Any]:
-    """Return only the option of wide vectors, for arctangents and logarithms, which are computed
-    twice without the fusion emitters."""
+    """Return the compiler option of 512-bit vectors, without the option of the fusion emitters. Use
+    it for arctangents and logarithms, which the older compiler computes twice."""
     return _known(WIDE)
 
 
@@ -66,13 +66,14 @@ def _known(*options: tuple[str, Any]) -> dict[str, Any]:
 
 
 def alone() -> bool:
-    """Check that a call is outside any trace and any transformation of JAX."""
+    """Return True if a call is outside any trace and any transformation of JAX."""
     return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
 
 
 @functools.cache
 def _imported_alone() -> bool:
-    """Check that the import was outside any trace; valid while the trace state has not changed."""
+    """Return True if this module was imported outside any trace. Call it only in the trace state of
+    the import: the result is cached."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
@@ -88,7 +89,7 @@ def compiled(
     options: Callable[[], dict[str, Any]] = compiler_options,
     **how: Any,
 ) -> Callable:
-    """Return `jit(f, **how)`, with `options` for calls outside any trace."""
+    """Return `jit(f, **how)`, with the compiler options `options()` for calls outside any trace."""
     program = jitted(f, jit, options, **how)
 
     def call(*args: Any, **kwargs: Any) -> Any:

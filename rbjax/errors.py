@@ -46,8 +46,8 @@ def _nearest(known: Sequence[str], name: object) -> str:
 class UnknownName(RbjaxError, KeyError):
     """Error of a name that does not exist. The message lists the valid names, and the nearest one.
 
-    apart: several lists of valid names, by the word for their kind, such as "joint"; None for one
-        list.
+    apart: the valid names by kind, such as {"joint": [...], "site": [...]}, if there are several
+        lists; None for one list.
     """
 
     def __init__(

@@ -72,7 +72,7 @@ class ContactForces(Record):
 
 
 def geoms_of_rows(model: Model, sets: Sequence[ContactSet]) -> tuple[tuple[int, int], ...]:
-    """Return the two geoms of each candidate contact of all sets."""
+    """Return, for each candidate contact of all sets, the indices of its two geoms."""
     pairs = model.geoms.pairs if sets else ()  # type: ignore[union-attr]
     return tuple(
         pairs[k]
@@ -86,7 +86,8 @@ def geoms_of_rows(model: Model, sets: Sequence[ContactSet]) -> tuple[tuple[int, 
 def rows_of_slots(
     problem: Problem, solution: Solution, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
-    """Compute the rows of `contact_forces` and J^T f from the slots."""
+    """Compute the table of `contact_forces`, and J^T f (nv lanes), from the solver's active
+    contacts."""
     found, wrenches = [], _no_wrenches(problem)
     for contacts, slots, r in zip(problem.sets, problem.slots, solution.residuals, strict=True):
 
@@ -96,7 +97,7 @@ def rows_of_slots(
             row, (rows, wrenches) = slots.row(k, of.dim), carry
             f = of.cone(row).response([r[k, i] for i in range(of.dim)]).f
             values = _row(place_of(row.contact), origin, f, rows[0])
-            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            wrenches = of.add_forces(row, wrenches, f)
             return rows.at[row.candidate].set(values), wrenches
 
         none = _no_contacts(contacts, problem.dtype)
@@ -108,7 +109,8 @@ def rows_of_slots(
 def rows_of_candidates(
     problem: Problem, a: jax.Array, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
-    """Compute the rows of `contact_forces` and J^T f from all candidates, at an acceleration a."""
+    """Compute the table of `contact_forces` and J^T f at an acceleration a (nv,), from all
+    candidates."""
     found, wrenches = [], _no_wrenches(problem)
     twists = problem.tree.twists(a, problem.dtype)
     for contacts in problem.sets:
@@ -119,7 +121,7 @@ def rows_of_candidates(
             f = [jnp.where(active, x, 0.0) for x in f]
             values = _row(place_of(row.contact), origin, f, rows[0])
             values = jnp.where(row.contact.exists, values, rows[k])
-            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            wrenches = of.add_forces(row, wrenches, f)
             return rows.at[k].set(values), wrenches
 
         start = _no_contacts(contacts, problem.dtype), wrenches
@@ -129,14 +131,17 @@ def rows_of_candidates(
 
 
 def contact_forces(rows: jax.Array, geoms: tuple[tuple[int, int], ...]) -> ContactForces:
-    """Return the contact forces of rows (n, 20): whether the contact exists, distance, position,
-    axes and forces."""
+    """Convert a table (n, 20) of contacts to `ContactForces`.
+
+    Columns: whether the contact exists, distance, position, contact axes, forces.
+    """
     frame = rows[:, 5:14].reshape(len(geoms), 3, 3)
     return ContactForces(rows[:, 0] > 0, rows[:, 1], rows[:, 2:5], frame, rows[:, 14:], geoms)
 
 
 def _row(place: Sequence[Lane], origin: Vec3, f: Sequence[Lane], like: jax.Array) -> jax.Array:
-    """Return the row of a contact from its place about the origin and its forces."""
+    """Return the table entry of a contact: `place` as by `place_of`, about the origin, and forces
+    f."""
     distance, *rest = place
     position = Vec3(*rest[:3]) + origin
     return pack([1.0, distance, *position, *rest[3:], *f, *[0.0] * (6 - len(f))], like)

@@ -21,19 +21,20 @@ import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, pack, sub, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
 class Factors(NamedTuple):
-    """The factors of the Hessian."""
+    """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
+    contacts."""
 
     factors: LDLT
 
     def solve(self, b: jax.Array) -> jax.Array:
-        """Solve H x = b."""
+        """Solve for x (nv,) with the factored Hessian as matrix and b (nv,) as right side."""
         return pack(self.factors.solve(unpack(b)), b)
 
 
@@ -71,7 +72,7 @@ class Tree(NamedTuple):
         return stacked([*lanes, [0.0] * 6], dtype)
 
     def generalized(self, wrenches: jax.Array) -> list[Lane]:
-        """Compute J^T f from the wrenches (n + 1, 6) on the links that can touch."""
+        """Compute the joint forces J^T f from wrenches (n + 1, 6) on the links that can touch."""
         sums: dict[int, Force] = {}
         for k, link in enumerate(self.touching):
             sums[link] = Force.from_lanes([wrenches[k, c] for c in range(6)])
@@ -79,7 +80,8 @@ class Tree(NamedTuple):
         return [S.dot(sums[i]) if i in sums else 0.0 for i, S in enumerate(self.S)]
 
     def _subtree_sums(self, values: dict[int, Any]) -> dict[int, Any]:
-        """Sum values of links over the subtree of each link."""
+        """Sum the values of links over the subtree of each link. Links without a value are left
+        out."""
         out = dict(values)
         for i in reversed(range(len(self.S))):
             parent = self.parents[i]
@@ -88,18 +90,20 @@ class Tree(NamedTuple):
         return out
 
     def step(self, factors: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Solve H x = b. Return x and the twists of `twists` at x."""
+        """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`
+        does."""
         x = factors.solve(b)
         return x, self.twists(x, dtype)
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
-        """Factorize M + J^T H J, the Hessian of the problem.
+        """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) sum of b_k H_kl b_l^T of the contacts of each pair of links, a symmetric
-        6 by 6 matrix. rows: scalar rows with their Hessians.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
+            (`Row.stiffness`).
+        rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]
-        K = [inertia_of_row(k) for k in stiffness]
+        K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
         fixed: dict[int, Any] = {}
         for (a, b), k in zip(self.link_pairs, K, strict=True):
             if WORLD in (a, b):
@@ -122,21 +126,15 @@ class Tree(NamedTuple):
 
 
 def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> None:
-    """Add S_i^T K S_j to the lower triangle of A."""
+    """Add S_i^T K S_j to the lower triangle of A, for each pair of dofs of `order`."""
     for at, i in enumerate(order):
         F = fusion_barrier(K(S[i]))
         for j in order[: at + 1]:
             A[i][j] = add(A[i][j], S[j].dot(F))
 
 
-def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
-    """Return a matrix K from its entries (21,): J, H and M."""
-    x = unpack(row)
-    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
-
-
 def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
-    """Stack rows of lanes to an array."""
+    """Stack equally long rows of lanes to an array (rows, lanes)."""
     flat = [jnp.asarray(x, dtype) for row in rows for x in row]
     return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
 
@@ -178,7 +176,8 @@ class Problem:
         return self.world
 
     def constraint_forces(self, x: jax.Array) -> list[Lane]:
-        """Compute J^T f at x (nv,) from all candidates; reverse-mode derivatives exist."""
+        """Compute the joint forces J^T f at x (nv,) from all candidate contacts. Reverse-mode
+        derivatives exist."""
         twists = self.tree.twists(x, self.dtype)
         wrenches = jnp.zeros_like(twists)
         for contacts in self.sets:
@@ -186,7 +185,7 @@ class Problem:
             def push(wrenches: jax.Array, row: Any, active: Any, of: Any = contacts) -> jax.Array:
                 r = residual(of, row, twists)
                 f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
-                return of.add_wrench(row, wrenches, row.wrench(f))
+                return of.add_forces(row, wrenches, f)
 
             wrenches = contacts.scan(self.touching, push, wrenches)
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
@@ -198,13 +197,13 @@ class Problem:
 
 
 def residual(contacts: ContactSet, row: Any, twists: jax.Array) -> list[Lane]:
-    """Compute J x - a_ref of a contact from the link twists at x."""
-    y = row.along(contacts.relative(row, twists))
+    """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
+    y = contacts.rates(row, twists)
     return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
 
 
 def add_row(out: list[Lane], row: ScalarRow, f: Lane) -> list[Lane]:
-    """Add J^T f of a scalar row."""
+    """Add the joint forces J^T f of a scalar row with the force f to `out`."""
     out = list(out)
     for i, x in row.J.items():
         out[i] = add(out[i], mul(x, f))

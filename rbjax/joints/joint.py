@@ -67,7 +67,10 @@ class JointMotion:
         return dof.inertia + self.modal.rigid
 
     def velocity_forces(self, w: Vec3) -> tuple[Force, Lane]:
-        """Return the wrench and the joint force of velocities that a flexible link adds."""
+        """Return the velocity-dependent wrench and joint force that a flexible link adds.
+
+        w is the angular velocity of the link in its own axes.
+        """
         return self.modal.velocity_forces(self.modal_slope, w, self.qd)
 
     def transform(self, dof: Placed) -> Transform:

@@ -68,7 +68,7 @@ class ModalInertia:
         return add(mul(0.5, add(own, square)), mul(V.dot(self.coupling), rate))
 
     def velocity_forces(self, slope: ModalInertia, w: Vec3, rate: Lane) -> tuple[Force, Lane]:
-        """Compute the wrench and the generalized force of velocities, beyond those of `rigid`.
+        """Compute the wrench and joint force of velocities, without the terms of `rigid`.
 
         `slope` has the derivatives of all coefficients by the coordinate.
         """

@@ -53,8 +53,8 @@ def register(joint: Joint) -> None:
 
     Raises:
         InputError: `joint` is not a joint, its name is not a string, or its name belongs to a
-            built-in kind or to another class; its modal inertia is not one, or its coupling is not
-            the derivative of its first moment.
+            built-in kind or to another class; its modal inertia is not a `ModalInertia`, or its
+            coupling is not the derivative of its first moment.
 
     See `rbjax.joints.Node` for an example.
     """

@@ -28,7 +28,7 @@ def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
 def check_at_least(
     where: str, name: str, value: Any, *shapes: tuple[int, ...], least: float = 0.0
 ) -> jax.Array:
-    """Return an array of one of the shapes; raise InputError if an entry is below `least`."""
+    """Convert to an array of one of the shapes. Raise InputError if an entry is below `least`."""
     x = check_array(where, name, value, *shapes)
     known = known_array(x)
     if known is not None and (known < least).any():
@@ -39,7 +39,7 @@ def check_at_least(
 
 
 def check_bound(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> jax.Array:
-    """Return an array of one of the shapes, in which an infinite entry means "no bound"."""
+    """Convert to an array of one of the shapes, whose infinite entries mean "no bound"."""
     expected = " or ".join(map(str, shapes)) or "of numbers"
     try:
         x = jnp.asarray(value, float)

@@ -127,8 +127,11 @@ class GoalErrors:
         self, model: Model, d: Unrolled, goals: Sequence[Goal], q: jax.Array,
         weights: Sequence[Lane] = (1.0, 1.0),
     ):  # fmt: skip
-        """Evaluate the goals at q. d: an unrolled driver of the model (`unrolled_driver`). weights:
-        factors of rotation errors and of position errors."""
+        """Evaluate the errors and their Jacobian at q.
+
+        d: an unrolled driver of the model (`unrolled_driver`).
+        weights: factors of rotation errors and of position errors.
+        """
         self.model, self.dtype = model, q.dtype
         self.errors: list[Lane] = []
         self.rows: list[list[Lane]] = []
@@ -185,7 +188,8 @@ class GoalErrors:
             self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
     def _column(self, i: int) -> tuple[Vec3, Any]:
-        """Return angular velocity per unit of dof i, and p -> velocity of the point p (world)."""
+        """Return the angular velocity for unit speed of dof i, and the function p -> velocity of a
+        point. Velocities and the point p, which the dof moves, are in the world."""
         if i not in self._columns:
             pose, S = self._motion.pose(i), self._axes[i]
             self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p

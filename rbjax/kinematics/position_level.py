@@ -302,8 +302,10 @@ def _middle(model: Model, dtype: Any) -> jax.Array:
 
 
 def _stationarity_conditions(model: Model, goals: Any, posture: Any, q: jax.Array) -> Any:
-    """Return the residuals that are zero at a solution q: e, or with a posture (e, p - q, J). With
-    a posture the condition is (p - q) - J^T y = 0; the multipliers y are not part of the result."""
+    """Return the residuals at a solution q: the errors e, or with a posture (e, p - q, J).
+
+    They are zero, or (p - q) - J^T y = 0 for some multipliers y, which are not returned.
+    """
     e, J = errors(model, goals, q)
     if posture is None:
         return e
@@ -322,7 +324,10 @@ def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
 def _configuration_rate(
     model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
 ) -> jax.Array:
-    """Return the derivative of q (nq,), from the derivative of the residuals at constant q."""
+    """Compute the derivative dq/dtheta (nq,) of the solution by the implicit function theorem.
+
+    rate: derivative of `_stationarity_conditions` by theta at constant q.
+    """
     q = found.q
     _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)
@@ -343,7 +348,12 @@ def _configuration_rate_with_posture(
     model: Model, goals: Any, posture: jax.Array, q: jax.Array, J: jax.Array, free: jax.Array,
     rate: Any,
 ) -> jax.Array:  # fmt: skip
-    """Solve  H dq + J^T dy = dF,  J dq = de  for dq of the free coordinates."""
+    """Compute dq (nv,) of the free coordinates from the optimality conditions with a posture.
+
+        H dq + J^T dy = dF,     J dq = de,     F = (p - q) - J^T y,     H = -dF/dq
+    free: mask (nv,), 0 for coordinates at a bound. rate: derivatives (de, d(p - q), dJ) at constant
+        q.
+    """
     de, ds, dJ = rate
     n, m = J.shape[1], J.shape[0]
     J = J * free

@@ -44,7 +44,10 @@ def step(
     null_step: Sequence[Lane] | None,
     damping: Lane,
 ) -> list[Lane]:
-    """Return the step dq (nv lanes) from q, for weighted e and J."""
+    """Return the damped least-squares step dq (nv lanes) at q, without motion beyond active limits.
+
+    e, J: weighted errors and their Jacobian. null_step: step in the null space of J, or None.
+    """
     g = transpose_product(J, e)
     direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
     dq = g
@@ -64,7 +67,10 @@ def without_active_limits(
     ranges: Ranges,
     direction: Sequence[Lane],
 ) -> tuple[Sequence[Sequence[Lane]], Sequence[Lane] | None]:
-    """Return J and the null-space step with the coordinates at active limits removed."""
+    """Remove the coordinates at active limits from J and from the null-space step. Return both.
+
+    A limit is active if the coordinate is at its bound and the step `direction` leaves the range.
+    """
     free, outward = ranges.free(q, direction), ranges.outward(q, direction)
 
     def row(x: Sequence[Lane]) -> list[Lane]:
@@ -135,7 +141,11 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """Compile-time settings: iterations of each start, true if joints stay within their ranges."""
+    """Compile-time settings of a search.
+
+    iterations: maximum number of iterations of each start.
+    limits: whether joints stay within their ranges.
+    """
 
     iterations: int
     limits: bool

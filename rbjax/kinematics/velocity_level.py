@@ -121,7 +121,7 @@ def differential_inverse_kinematics(
 
 @automatic
 def _inlined(*args: Any) -> DifferentialInverseKinematics:
-    """Solve by a kernel, one sample per GPU thread or SIMD lane, where kernels are available."""
+    """Solve by a kernel, with one sample per GPU thread or SIMD lane, if kernels are available."""
     moving, closed = split_tracers(args)
 
     def run(moving: list) -> DifferentialInverseKinematics:

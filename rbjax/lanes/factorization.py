@@ -175,7 +175,10 @@ REFINEMENTS = {4: 3, 8: 2}
 
 
 def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
-    """Return eps, e and the number of refinements: (damping, damping, 1) if it is given."""
+    """Return eps and e of the regularization E = eps diag(A) + e B, and the number of refinements.
+
+    damping: value of eps and e, with one refinement; None uses the values of the dtype.
+    """
     if damping is not None:
         return damping, damping, 1
     eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))
@@ -185,11 +188,14 @@ def regularization(dtype: Any, damping: float | None = None) -> tuple[float, flo
 def diagonal_floor(
     diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
 ) -> jax.Array:
-    """Return a lower bound of the diagonal of a matrix: `factor * usual`.
+    """Return a lower bound (n,) of the diagonal of a matrix: `factor * usual`.
 
     Args:
+        diagonal: (n,) the diagonal in the current configuration.
         usual: the diagonal in a configuration without vanishing rows, 0 if it is not known.
-        unknown: the bound is `unknown` times the sum of the diagonal if `usual` is 0; None is eps.
+        factor: the bound relative to `usual`.
+        unknown: the bound relative to the sum of the diagonal if `usual` is 0; None is the machine
+            epsilon.
     """
     unknown = float(jnp.finfo(diagonal.dtype).eps) if unknown is None else unknown
     usual = jnp.asarray(usual, diagonal.dtype)

@@ -50,7 +50,7 @@ class Cell:
 
 
 def lane_of(x: Any) -> Lane:
-    """Return the lane of a cell, or convert a number to a literal."""
+    """Return the lane in a cell, or a number as a literal (a Python float)."""
     return x.lane if isinstance(x, Cell) else float(x)
 
 
@@ -101,7 +101,10 @@ class Sparse:
 
     @classmethod
     def of(cls, column: Any, dtype: Any, *, units: bool = False) -> Sparse:
-        """Make a `Sparse` from a column of numbers, of cells, or a traced column."""
+        """Make a `Sparse` from a column of numbers or cells, or from a traced array.
+
+        units: whether ones and minus ones are static too.
+        """
         if isinstance(column, jax.Array):
             return cls((None,) * column.shape[0], column.astype(dtype))
         pattern = literals(column, units=units)
@@ -126,7 +129,7 @@ class Sparse:
 
 
 def stacked(x: Any, dtype: Any) -> Any:
-    """Convert an array of numbers or cells to a JAX array."""
+    """Convert an array of numbers or of cells (`Cell`) to a JAX array of the dtype."""
     if x.dtype != object:
         return jnp.asarray(x, dtype)
     rows = [jnp.asarray(lane_of(v), dtype) for v in x.ravel()]

@@ -63,7 +63,7 @@ class Hull:
 
 
 def _spread(polygon: np.ndarray) -> list[int]:
-    """Return up to four corners of a convex polygon, the first among them, of a large area.
+    """Choose up to four corners of a convex polygon, with the first one, that span a large area.
 
     Corners advance along the polygon as long as the area of the quadrilateral grows.
     """

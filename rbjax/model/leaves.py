@@ -25,9 +25,10 @@ def table(x: Any, dtype: Any) -> Any:
 
 
 def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
-    """Convert the leaves of one computation to arrays of one module, and return it with them.
+    """Convert leaves to arrays of one module. Return the module and the arrays.
 
-    The module is numpy if all leaves are constant, else jax.numpy, with arrays of the dtype.
+    The module is numpy if all leaves are constant. Otherwise it is jax.numpy, with arrays of the
+    dtype.
     """
     found = [table(x, dtype) for x in numbers]
     if any(isinstance(x, jax.core.Tracer) for x in found):

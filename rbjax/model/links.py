@@ -142,7 +142,8 @@ def without_constants(model: Model) -> Model:
 
 
 def _columns(made: Any) -> Prepared:
-    """Rebuild the link constants that `with_constants` has stored."""
+    """Rebuild the `Prepared` link constants from the sparse columns that `with_constants` has
+    stored."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
@@ -253,7 +254,8 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _joint_params(top: Topology, given, xp):
-    """Return the joint parameters of each link (nv, most), padded with zeros."""
+    """Return the parameters of each link's joint (nv, m), padded with zeros. m is the largest
+    number of parameters of a joint."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last entry is the padding

@@ -42,7 +42,7 @@ class Tendons(Record):
         armature: (nt,) kg, the inertia of the change of length.
         limit_margin: (nt,) m, distance before a limit at which it begins to act.
         limit_solref, limit_solimp: (nt, 2) and (nt, 5), softness of the limits, as in MuJoCo.
-        friction_solref, friction_solimp: the same of the friction loss.
+        friction_solref, friction_solimp: (nt, 2) and (nt, 5), softness of the friction loss.
         length0: (nt,) m, length in the file's configuration, from which equalities are measured.
         names: of each tendon; static.
         paths: the waypoints of each tendon; static.

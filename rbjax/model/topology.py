@@ -25,7 +25,11 @@ WORLD = -1
 
 
 class Span(NamedTuple):
-    """The slices of a joint in q and v: coordinates that add, followed by an attitude."""
+    """The slices of a joint in q and v.
+
+    q, v: coordinates of equal number whose increments are added.
+    attitude: unit quaternion in q and angular velocity in v, or None.
+    """
 
     q: slice
     v: slice
@@ -226,7 +230,7 @@ class Partition(NamedTuple):
 
     @property
     def written(self) -> int:
-        """The number of links in a program: the trunk, and one limb of each group."""
+        """The number of links in a program: all of the trunk, and one limb of each group."""
         return len(self.trunk) + sum(len(group.parents) for group in self.groups)
 
 

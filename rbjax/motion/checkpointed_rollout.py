@@ -127,7 +127,8 @@ class CheckpointedRollout:
         )
 
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: StepVjp | None) -> Any:
-        """Advance the index and the state by a step; return the residuals for `step_vjp` too."""
+        """Advance (step index, state) by a step with control u. Also return the residuals for
+        `step_vjp`."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
         new = run(step, [i, *state, *_given(u), *others])  # one equation for any length
@@ -225,7 +226,8 @@ class StepVjp:
     """
 
     def __init__(self, forward: Program, back: Callable):
-        """back: function (args, residuals, bars) -> cotangents of the arguments."""
+        """back: function (args, residuals, cotangents of the results) -> cotangents of the
+        arguments."""
         self.forward, self._back = forward, back
 
     @classmethod
@@ -245,13 +247,14 @@ class StepVjp:
         return self.residuals.size * self.residuals.dtype.itemsize
 
     def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
-        """Compute the cotangents of the arguments from residuals and cotangents of the results."""
+        """Compute the cotangents of the arguments from the residuals `left` and the cotangents
+        `bars` of the results."""
         return self._back(args, left, bars)
 
 
 def _vjp_of_equations(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callable] | None:
-    """Build the vjp of a step without loops, with the named values as residuals; None if the step
-    cannot be transposed as equations."""
+    """Build the vjp of a step without loops. Its residuals are the values marked by
+    `checkpoint_name`. Return None if the step cannot be transposed as equations."""
     back = step.transposed_equations(moving, (True,) * len(step.outputs))
     if back is None:
         return None
@@ -285,7 +288,8 @@ def _vector(parts: Sequence[jax.Array], dtype: Any) -> jax.Array:
 
 
 def _vjp_of_checkpoint(step: Program, moving: Sequence[bool]) -> tuple[Program, Callable]:
-    """Build the vjp of any step by `jax.checkpoint`, which saves the named values."""
+    """Build the vjp of any step by `jax.checkpoint`, which saves the values marked by
+    `checkpoint_name`."""
     trees: list[Any] = []
 
     def linearised(*args: Any) -> list[Any]:

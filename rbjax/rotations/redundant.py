@@ -50,19 +50,19 @@ class UnitQuaternion(_Global):
         return self._ordered([scale * a for a in q])
 
     def body_rate(self, x: list) -> list:
-        """Return the matrix of omega_body = 2 (w u' - w' u - u x u')."""
+        """Return E (3, 4), by rows, of omega_body = E x' = 2 (w u' - w' u - u x u')."""
         return self._rate(x, -1.0)
 
     def space_rate(self, x: list) -> list:
-        """Return the matrix of omega_space = 2 (w u' - w' u + u x u')."""
+        """Return E (3, 4), by rows, of omega_space = E x' = 2 (w u' - w' u + u x u')."""
         return self._rate(x, 1.0)
 
     def inverse_body_rate(self, x: list) -> list:
-        """Return the matrix of w' = -u.omega/2, u' = (w omega + u x omega)/2."""
+        """Return E^-1 (4, 3), by rows: w' = -u.omega/2, u' = (w omega + u x omega)/2."""
         return self._inverse(x, 1.0)
 
     def inverse_space_rate(self, x: list) -> list:
-        """Return the matrix of w' = -u.omega/2, u' = (w omega - u x omega)/2."""
+        """Return E^-1 (4, 3), by rows: w' = -u.omega/2, u' = (w omega - u x omega)/2."""
         return self._inverse(x, -1.0)
 
     def _rate(self, x: list, side: float) -> list:
@@ -157,25 +157,27 @@ class RotationMatrix(_Global):
         return list(quaternion_matrix(*q))
 
     def body_rate(self, x: list) -> list:
-        """Return the matrix of omega_1 = (c_3.c_2' - c_2.c_3') / 2, cyclically; c_i are columns."""
+        """Return the rate matrix E (3, 9), by rows, of omega_body = E x'. Its first row is omega_1
+        = (c_3.c_2' - c_2.c_3') / 2, with the columns c_i of R; the others are cyclic."""
         u, v, w = (0.5 * column for column in Mat3(*x).columns)
         o = Vec3.zero()
         rows = ((o, w, -v), (-w, o, u), (v, -u, o))
         return [a for row in rows for entry in zip(*row, strict=True) for a in entry]
 
     def space_rate(self, x: list) -> list:
-        """Return the matrix of omega_1 = (r_2.r_3' - r_3.r_2') / 2, cyclically, with rows r_i."""
+        """Return the rate matrix E (3, 9), by rows, of omega_space = E x'. Its first row is omega_1
+        = (r_2.r_3' - r_3.r_2') / 2, with the rows r_i of R; the others are cyclic."""
         u, v, w = (0.5 * row for row in Mat3(*x).rows)
         o = Vec3.zero()
         rows = ((o, -w, v), (w, o, -u), (-v, u, o))
         return [a for row in rows for entry in row for a in entry]
 
     def inverse_body_rate(self, x: list) -> list:
-        """Return the matrix of R' = R [omega]."""
+        """Return the matrix (9, 3), by rows, from omega_body to the entries of R' = R [omega]."""
         return [a for row in Mat3(*x).rows for k in range(3) for a in row.cross(_unit(k)) * -1.0]
 
     def inverse_space_rate(self, x: list) -> list:
-        """Return the matrix of R' = [omega] R."""
+        """Return the matrix (9, 3), by rows, from omega_space to the entries of R' = [omega] R."""
         columns = Mat3(*x).columns
         crossed = [[Mat3.skew(-c).rows[i] for c in columns] for i in range(3)]
         return [a for i in range(3) for row in crossed[i] for a in row]
@@ -197,7 +199,8 @@ class TwoColumns:
         return [*first, *second]
 
     def body_rate(self, x: list) -> list:
-        """Return the matrix of omega_body = (b_3.b_2', -b_3.b_1', b_2.b_1'), with columns b_i."""
+        """Return the rate matrix (3, 6), by rows, from x' to omega_body. omega_body = (b_3.b_2',
+        -b_3.b_1', b_2.b_1'), with the columns b_i of R."""
         (_, b2, b3), (n, m), along = self._frame(x)
         o = Vec3.zero()
         rows = [((-along / (n * m)) * b3, (1 / m) * b3), ((-1 / n) * b3, o), ((1 / n) * b2, o)]
@@ -217,7 +220,7 @@ class TwoColumns:
         return [row.dot(b) for row in rows for b in (b1, b2, b3)]
 
     def inverse_space_rate(self, x: list) -> list:
-        """Return the matrix of a' = omega x a for both vectors a."""
+        """Return the matrix (6, 3), by rows, from omega_space to a' = omega x a of both vectors."""
         return [a for half in (x[:3], x[3:]) for a in Mat3.skew(-Vec3(*half))]
 
     def distance(self, x: list) -> jax.Array:

@@ -238,5 +238,6 @@ def _blocks(A: list, B: list) -> jax.Array:
 
 
 def _dual(J: Callable[[list], list], xi: list) -> jax.Array:
-    """Evaluate J over the dual numbers: its value at phi, and its derivative along rho."""
+    """Compute the 6 by 6 Jacobian [[J, 0], [Q, J]] of xi = (phi, rho) from the Jacobian J of SO(3).
+    Q is the derivative of J at phi along rho."""
     return _blocks(*jax.jvp(J, (xi[:3],), (xi[3:],)))

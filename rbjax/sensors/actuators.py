@@ -96,7 +96,7 @@ def actuator_force(context: Context, actuator: str | int) -> Lane:
 
 
 def _scales(context: Context) -> dict[int, Lane]:
-    """Return the factors that keep the forces of the actuators of tendons within their ranges."""
+    """Return `tendon_scales` by tendon, computed once per context."""
     pairs = context.once(actuator_context, lambda: element_contexts(context.model, context))
     return context.once(tendon_scales, lambda: tendon_scales(context.model, pairs))
 
@@ -150,7 +150,7 @@ class TendonActuatorForce(TendonSensor):
 
 
 def forces_at_tendons(context: Context) -> list[tuple[int, Lane, Lane]]:
-    """List the tendon, the gear and the scalar force of each actuator at a tendon."""
+    """List the actuators at tendons: index of the tendon, gear, scalar force."""
     if context.ctrl is None:
         return []
     pairs = context.once(actuator_context, lambda: element_contexts(context.model, context))
@@ -173,7 +173,11 @@ class TendonLimitSensor(TendonSensor):
         return scalar(own.limit_margin[context.model.tendon(self.tendon)], context.q.dtype)
 
     def nearest(self, context: Context, value: Callable[[Lane, Lane], Lane]) -> jax.Array:
-        """Return a value of the distance and its rate, of the first end that is near, or zero."""
+        """Return value(distance, rate) at a limit within the margin, or zero.
+
+        distance: distance to the limit, m. rate: its rate, m/s. The lower limit precedes the upper
+            one.
+        """
         own: Any = context.model.tendons
         limits = own.range[context.model.tendon(self.tendon)]
         reach, (low, high) = self.reach(context), numbers(limits, context.q.dtype)
@@ -197,7 +201,7 @@ class TendonLimitPosition(TendonLimitSensor):
 
 @register("tendonlimitvel", placed=True)
 class TendonLimitVelocity(TendonLimitSensor):
-    """Measure the rate of the distance of a tendon's length to its limit; zero if it is far."""
+    """Measure the rate of a tendon's distance to its limit; zero outside of the margin."""
 
     of = "m/s"
 

@@ -237,7 +237,7 @@ class JointLimitSensor(OneJointSensor):
         return found
 
     def nearest(self, context: Context, value: Callable[[Lane, list[Lane]], Lane]) -> jax.Array:
-        """Return a value of the first end that is nearer than the margin, or zero."""
+        """Return value(distance, gradient) at an end of the range within the margin, or zero."""
         out: Any = jnp.zeros((), context.q.dtype)
         for distance, slope in reversed(self.ends(context)):
             out = select(distance < self.margin, value(distance, slope), out)

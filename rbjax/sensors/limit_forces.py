@@ -52,7 +52,8 @@ class TendonLimitForce(TendonLimitSensor):
 
 
 def _force_of_rows(context: Context, part: str, index: int) -> Lane:
-    """Return the force of the limit of a joint or a tendon in the contact problem, or zero."""
+    """Return the force of the limit of a joint or tendon from the contact solver; zero without
+    contacts."""
     solved = solution_of(context).solved
     return 0.0 if solved is None else solved.force_of(LIMIT, part, index)
 

@@ -89,7 +89,7 @@ def seen_geoms(model: Model, own: int) -> list[int]:
 
 
 def cast_ray(context: Context, origin: Vec3, along: Vec3, geoms: list[int]) -> Ray:
-    """Return the nearest hit of a ray with geoms; one call of each kind's formula."""
+    """Return the nearest intersection of a ray with geoms, evaluated kind by kind."""
     own, dtype = context.model.geoms, context.q.dtype
     far = jnp.full((), jnp.inf, dtype)
     best = Ray(far, Vec3.zero())

@@ -123,7 +123,7 @@ def _first(near: Lane, far: Lane, real: Lane) -> Lane:
 
 
 def _face(p: Vec3, d: Vec3, size: Vec3, k: int, side: float) -> Lane:
-    """Return s at a face of a box, or infinity."""
+    """Return s at which a ray p + s d meets the face of a box with normal `side` e_k, or inf."""
     steep = jnp.abs(d[k]) > LEAST
     s = (side * size[k] - p[k]) / jnp.where(steep, d[k], 1.0)
     inside = steep & (s >= 0)
@@ -133,7 +133,7 @@ def _face(p: Vec3, d: Vec3, size: Vec3, k: int, side: float) -> Lane:
 
 
 def _side(best: Hit, p: Vec3, d: Vec3, radius: Lane, half: Lane) -> Hit:
-    """Return the nearer of a hit and the hit of the round side of a cylinder or capsule."""
+    """Return the nearer one of `best` and the hit of the round side of a cylinder or capsule."""
     a, b = d[0] * d[0] + d[1] * d[1], p[0] * d[0] + p[1] * d[1]
     near, far, real = _roots(a, b, p[0] * p[0] + p[1] * p[1] - radius * radius)
     for s in (near, far):

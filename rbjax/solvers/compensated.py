@@ -135,7 +135,7 @@ def _rounding_error(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
 
 
 class _Increment(diffrax.AbstractTerm):
-    """Diffrax term of the increment z = y - y0."""
+    """The diffrax term of the increment z of y = y0 + z, with the same rate as y."""
 
     term: diffrax.AbstractTerm
     y0: Any
@@ -151,7 +151,7 @@ class _Increment(diffrax.AbstractTerm):
 
 
 class _Shifted(diffrax.AbstractLocalInterpolation):
-    """Interpolation y0 + z(t)."""
+    """The dense output y0 + z(t), from the dense output of the increment z."""
 
     t0: Any  # type: ignore[misc]
     t1: Any  # type: ignore[misc]
@@ -165,7 +165,8 @@ class _Shifted(diffrax.AbstractLocalInterpolation):
 
 @dataclass(frozen=True)
 class _Interpolation:
-    """Constructor of the dense output of y from the dense output of the increment."""
+    """Constructor of the dense output `_Shifted` from the arguments of the increment's dense
+    output."""
 
     inner: Callable[..., diffrax.AbstractLocalInterpolation]
 

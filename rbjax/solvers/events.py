@@ -187,7 +187,7 @@ def _constant(tree: Any) -> Any:
 
 
 def _closed(f: Callable, *example: Any) -> Callable:
-    """Return a function whose captured arrays are constants under differentiation."""
+    """Return a function f whose captured arrays are constants under differentiation."""
     return _constant(eqx.filter_closure_convert(f, *example))
 
 
@@ -220,7 +220,8 @@ def _locate(
         return jnp.asarray(value / jnp.where(divides, elapsed, 1), start.dtype)
 
     def attempt(now: _Trial) -> _Trial:
-        """Try a step h; after a step with the event, halve the interval of its length."""
+        """Try a step of length h: accept it, shorten it, or halve the interval that contains the
+        event."""
         h = jnp.minimum(now.h, end - now.t)
         t = jnp.where(now.h < end - now.t, now.t + h, end)
         y, error = _long_step(f, now.t, now.y, args, h)

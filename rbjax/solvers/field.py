@@ -54,12 +54,13 @@ def time_direction(terms: Any, t: Any) -> Any:
 
 
 def _unit(terms: Any, t: Any) -> Any:
-    """Return the control of the terms over one unit of the solver's time."""
+    """Return the diffrax control over one unit of the solver's time. It is 1 or -1 for an
+    ODE term."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def _parts(terms: Any) -> list[Any]:
-    """Return the terms of a sum, without diffrax's wrappers."""
+    """Return the ODE terms of a sum, and the terms of other types, without diffrax's wrappers."""
     whole = (*IN_TIME, *IN_OTHERS)
     return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 

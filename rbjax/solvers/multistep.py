@@ -95,7 +95,8 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
-        """Evaluate the current state for `begin` and `formula`."""
+        """Evaluate rate and, if necessary, Jacobian at the current state, for `begin` and
+        `formula`."""
 
     @abc.abstractmethod
     def begin(self, f: Field, h: Any, here: Start) -> Step:
@@ -138,7 +139,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return f.unravel(y + out.u), error, dense, state, step_result(out.ok)
 
     def _padded(self, step: Step) -> Step:
-        """Pad the coefficients of a step to the degree of the method."""
+        """Pad the dense-output coefficients of a step with zeros to the degree of the method."""
         missing = self.degree - step.coefficients.shape[0]
         padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))

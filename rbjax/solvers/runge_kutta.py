@@ -88,7 +88,8 @@ def _rate_and_jacobian(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.A
 
 @_rate_and_jacobian.def_jvp
 def _(primals: Any, tangents: Any) -> Any:
-    """Set the derivative of the Jacobian to zero, because roots do not depend on the Jacobian."""
+    """Derivative rule of rate and Jacobian: the rate is differentiated, the Jacobian is constant. A
+    root does not depend on the Jacobian of its Newton iteration."""
     rate, jacobian = _rate_and_jacobian(*primals)
     _, moving = eqx.filter_jvp(lambda f, t, y: f(t, y), primals, tangents)
     return (rate, jacobian), batch_first((moving, jnp.zeros_like(jacobian)))

@@ -131,7 +131,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
         bent = time_direction(terms, h) * h  # q'' is v' times the direction of time
 
         def after(k):
-            """Return h A1 and the next state, for k = h a1."""
+            """Compute h A1, with A the stored acceleration, and the next state, for k = h a1."""
             old = scale(h, carried)
             carrying = combine(
                 ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scale(h, now), old)

@@ -83,7 +83,8 @@ def explicit_stages(
 
 
 def _weighted_sum(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
-    """Return sum_j a_ij k_j for stage i. On a CPU, a branch per stage skips zero weights."""
+    """Compute sum_j a_ij k_j for a traced stage index i. On a CPU, a branch per stage skips zero
+    weights."""
     if jax.default_backend() != "cpu":
         row = jnp.array(tableau.a)[i]
         return jax.tree.map(lambda k: (row.astype(k.dtype) * k.T).T.sum(0), ks)

@@ -154,7 +154,8 @@ def _eigen(S: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @_eigen.defjvp
 def _eigen_jvp(primals: Any, tangents: Any) -> Any:
-    """Compute d moments = diag(D) and dR = R W, with D = R^T dS R, W_ij = D_ij / (w_j - w_i)."""
+    """Compute the derivative of eigenvalues w and eigenvectors R of a symmetric S. dw = diag(D) and
+    dR = R W, with D = R^T dS R and W_ij = D_ij / (w_j - w_i) if w_i and w_j differ."""
     (S,), (dS,) = primals, tangents
     w, R = _eigen(S)
     Rt = jnp.swapaxes(R, -1, -2)

@@ -220,7 +220,8 @@ def _check_one_of(where: str, density: Any, mass: Any) -> None:
 
 
 def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
-    """Compute mass properties from volume (area, length) and moments of inertia for mass 1."""
+    """Compute mass properties from volume (area, length), center of mass and principal moments. The
+    moments are about the center of mass, for unit mass."""
     _check_one_of("", density, mass)
     if mass is not None:
         total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))

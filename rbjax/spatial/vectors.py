@@ -11,6 +11,7 @@ C in P.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -153,8 +154,13 @@ class ArticulatedInertia:
         return cls(Sym3.zero(), Mat3.zero(), Sym3.zero())
 
     @classmethod
+    def from_lanes(cls, x: Sequence[Lane]) -> ArticulatedInertia:
+        """Make an inertia from 21 lanes: J (6), H (9) and M (6)."""
+        return cls(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
+
+    @classmethod
     def outer(cls, U: Force, V: Force) -> ArticulatedInertia:
-        """Compute U V^T, as a term of a symmetric sum."""
+        """Compute U V^T (6, 6) of two forces. It is symmetric, or a term of a symmetric sum."""
         H = Mat3(*(mul(a, b) for a in U.ang for b in V.lin))
         return cls(Sym3.outer(U.ang, V.ang), H, Sym3.outer(U.lin, V.lin))
 
@@ -177,7 +183,7 @@ class ArticulatedInertia:
         return ArticulatedInertia(J, H, self.M)
 
     def less(self, U: Force, inverse_D: Lane) -> ArticulatedInertia:
-        """Compute I - U U^T / D."""
+        """Compute I - U U^T / D, with `inverse_D` = 1 / D."""
         return self - ArticulatedInertia.outer(U * inverse_D, U)
 
     def without(self, U: Force, inverse_D: Lane, S: Motion, armature: Lane) -> ArticulatedInertia:

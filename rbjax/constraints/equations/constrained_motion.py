@@ -109,7 +109,7 @@ def range_space_problem(
 def feedback_right_hand_side(
     context: Context, rows: Sequence[Row], l: Any, alpha: Any, beta: Any
 ) -> Sequence[Lane]:
-    """Return -g'' - 2 alpha g' - beta^2 g of each row: the residual with Baumgarte feedback."""
+    """Return the right-hand side -g'' - 2 alpha g' - beta^2 g of each row (Baumgarte feedback)."""
     del context, l
     return [baumgarte_residual(row, alpha, beta) for row in rows]
 

@@ -43,7 +43,7 @@ def rows_of(model: Model, context: Context) -> list[Row]:
 
 
 def _compute_once(row: Row, context: Context) -> Row:
-    """Put the lanes of a row behind a fusion barrier, to compute them only once under XLA."""
+    """Return the row with its lanes behind a fusion barrier, to compute them only once."""
     known = (context.q, context.v, context.a, context.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)

@@ -107,7 +107,8 @@ def least_change(
         return values, [lambda c, by=by: _join(*by(c[:nv], c[nv:])) for by in solves]
 
     def at_start(changed, q, v, x, l):
-        """Compute driver, context and constraint rows at q, and the residual G^T l - W x."""
+        """Return driver, context and rows at q, and the residual G^T l - W x of the projection. W
+        is the weight of the projection, x the change of q or v."""
         model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         context = Context.of(model, t0, State(q, v), None, d=d)
@@ -315,7 +316,8 @@ def _newton(
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def correction(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Solve G x = c with x = W^-1 G_0^T l for the correction x and the multipliers l.
+        """Compute the correction x that solves G x = c with x = W^-1 G_0^T l, and the multipliers
+        l.
 
         G_0 is the gradient at the start, and W the weight. If rows are redundant, l has least norm.
         """

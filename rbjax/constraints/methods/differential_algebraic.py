@@ -60,8 +60,11 @@ class DifferentialAlgebraic(Method):
         return constrained_motion(model, t, state, tau, f_ext)[0]
 
     def level_of(self, row: Row) -> tuple[Lane, int]:
-        """Return the residual of a row to satisfy at the stages, g or g', and its depth: the number
-        of integrations from acceleration to it, 2 or 1."""
+        """Return the residual of a row that the stages satisfy, g or g', and its depth.
+
+        The depth is the number of integrations from the acceleration to this residual: 2 for g, 1
+        for g'.
+        """
         raise NotImplementedError(f"{type(self).__name__} has no method level_of(row)")
 
     def position_rows(self, rows: Sequence[Row]) -> list[Row]:
@@ -79,8 +82,8 @@ class DifferentialAlgebraic(Method):
         """Describe the algebraic equations of a model.
 
         Returns:
-            The number of integrations from acceleration to each residual, the `free_body_diagonal`
-            (m,) of the equations, and the number of GGL rows.
+            The depth of each residual (the number of integrations from the acceleration to it), the
+            `free_body_diagonal` (m,) of the equations, and the number of GGL rows.
         """
         d = driver(model, state.q.dtype)
         context = Context.of(model, t, state, None, d=d)

@@ -212,7 +212,8 @@ class ClusterTree:
         self._with_clusters(WORLD, ArticulatedInertia.zero())
 
     def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
-        """Add to an articulated inertia the inertias of the clusters whose parent is this link."""
+        """Eliminate the clusters whose parent is a link, and add their inertias W A^-1 W^T to its
+        inertia I."""
         self._clusters[link] = [self._eliminate(x) for x in self._found if x.parent == link]
         more = [x for tied in self._clusters[link] for x in zip(tied.W, tied.Y, strict=False)]
         for w, y in more:
@@ -254,7 +255,8 @@ class ClusterTree:
         l: list[Lane] = [0.0] * len(self._rows)
 
         def arrived(link: int) -> Force:
-            """Return the force on a link, including the forces of clusters whose parent it is."""
+            """Compute the multipliers of the clusters below a link, and return the force on the
+            link."""
             f = pending.pop(link, Force.zero())
             for tied in self._clusters[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))
@@ -276,7 +278,7 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Sweep outward: return the accelerations of all dofs.
+        """Run the outward sweep. Return the accelerations of all dofs.
 
         u are the joint forces that the inward sweep leaves, l the multipliers of the clusters. l is
         corrected for the accelerations of the parents.
@@ -284,7 +286,8 @@ class ClusterTree:
         a, out = {WORLD: Motion.zero()}, []
 
         def arrived(link: int) -> None:
-            """Add the forces of the multipliers of a link's clusters to the joint forces."""
+            """Correct the multipliers of the clusters below a link for its acceleration. Add their
+            forces to the joint forces u."""
             for tied in self._clusters[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):

@@ -96,7 +96,7 @@ def tendon_row(context: Context, tendon: str | int) -> Row:
 
 
 def _segment_row(context: Context, one: Segment) -> Row:
-    """Return the row of the length between two sites."""
+    """Return the row of the length of a tendon between two sites, straight or around a geom."""
     start, end = context.site(one.start), context.site(one.end)
     if one.geom is None:
         return distance(start, end)

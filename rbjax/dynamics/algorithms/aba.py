@@ -50,7 +50,13 @@ class VelocityStep(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """The result of the elimination of a joint, which gives qdd = (u - U.a) / D."""
+    """The factors of a joint that ABA has eliminated, which give qdd = (u - U.a) / D.
+
+    X: pose of the link in its parent.
+    S: axis of the joint in link axes.
+    U: I_A S, with I_A the articulated inertia.
+    inverse_D: 1 / D, with D = S.U + armature.
+    """
 
     X: Transform
     S: Motion
@@ -78,10 +84,10 @@ def eliminate(
 def to_parent(
     X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
 ) -> ArticulatedInertia:
-    """Compute X^T I_a X, the inertia in the axes of the parent.
+    """Compute X^T I_a X, the inertia in the axes of the parent, about its origin.
 
-    `mass` is the result of `rigid_mass`. If it is not None, the linear block is m 1 - U U^T / D, of
-    which only the vector U is rotated.
+    `mass` is the result of `rigid_mass`. If it is not None, the linear block of I_a is m 1 - U U^T
+    / D. Then only the vector U is rotated, in place of this block.
     """
     if mass is None:
         return X.articulated_to_parent(I_a)
@@ -135,8 +141,11 @@ def aba(
 
 
 def factorize(d: Driver, joints: Any, extra: Any = None, inertia: Any = None) -> Any:
-    """Factorize the mass matrix plus a diagonal matrix `extra` and the mass matrix of articulated
-    inertias, both given per link."""
+    """Factorize the mass matrix, with optional terms in addition, by the inward sweep of ABA.
+
+    extra: lane to add to the diagonal, per link; None for zero.
+    inertia: `ArticulatedInertia` to add to each link, in its axes, per link; None for zero.
+    """
 
     def inward(x, I_children):
         link, joint, more, own = x
@@ -198,7 +207,7 @@ LEFT = ("acceleration", "factors")
 
 
 def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
-    """Name the acceleration and the factors (`LEFT`), for policies of `jax.checkpoint`."""
+    """Give acceleration and factors the names in `LEFT`, for policies of `jax.checkpoint`."""
 
     def named(f: Factor) -> Factor:
         U, inverse_D = jax.tree.map(

@@ -37,7 +37,7 @@ UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 
 
 def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Compute the inputs of the second kernel for inverse dynamics: a row of numbers per link."""
+    """Compute, by link, the row of numbers that the second kernel of `inverse_by_columns` reads."""
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
     poses = tree_poses(d, joints)
@@ -51,7 +51,7 @@ def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.
 
 
 def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """Compute the acceleration qdd of each link, and U and 1 / D of ABA in its axes, as (8, nv)."""
+    """Compute the rows [qdd; 1 / D; U] (8, nv): joint accelerations, and factors of ABA."""
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
@@ -59,7 +59,7 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
 
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
-    """Compute the inputs of the last kernel for forward dynamics: a row of numbers per link.
+    """Compute, by link, the row of numbers that the last kernel of `forward_by_columns` reads.
 
     found: the result of `accelerations`.
     """
@@ -96,7 +96,7 @@ def _lane_rows(d: Driver, values: Any, like: jax.Array) -> jax.Array:
 
 
 def _seconds(pairs: tuple) -> list:
-    """Return the second vector b of each pair (a, b) of `pair_matrix`."""
+    """Return the second vector b of each pair (a, b) of `pair_matrix`, in order."""
     return [b for pair in pairs for _, b in pair]
 
 
@@ -186,7 +186,9 @@ def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
 def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Array]:
     """Compute matrices (nv, nv) with one thread for each column j.
 
-    column(row of link j, column j of `which_moves`, unit vector j) returns column j of each matrix.
+    rows: row of numbers of each link.
+    column: function (row of link j, column j of `which_moves`, unit vector j) that returns column j
+        of each matrix.
     """
 
     def of_link(own: jax.Array, places: jax.Array, j: jax.Array) -> list[jax.Array]:
@@ -208,10 +210,11 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """Compute one column of `count` matrices, link by link.
+    """Compute, link by link, the entries of one column of `count` matrices `pair_matrix`.
 
-    rows: the rows of all links. own: the row of the link of the column. places: rows of
-        `which_moves`.
+    rows: the numbers of all links. own: the numbers of the link of the column.
+    places: for each link, its entry in this column of `which_moves`.
+    start: index of the first number of a link's vectors.
     """
     out: list[list[Lane]] = []
     for row in rows:
@@ -229,7 +232,7 @@ def _lanes(row: jax.Array, some: slice) -> list[Lane]:
 
 
 def _factors(rows: jax.Array) -> list[Factor]:
-    """Return the factors of M in world axes, from the rows of the links."""
+    """Read the ABA factors of all links, in world axes, from their rows of numbers."""
 
     def factor(row):
         S, (*U, inverse_D) = _lanes(row, AXIS), _lanes(row, FACTORS)
@@ -239,6 +242,9 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
-    """Compute M^-1 x for columns x (nv, ...), from a copy of the factors for each sweep."""
+    """Compute M^-1 x for columns x (nv, ...) by an inward and an outward sweep.
+
+    inward, outward: the ABA factors, once for each sweep.
+    """
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

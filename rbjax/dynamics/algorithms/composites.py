@@ -183,12 +183,12 @@ def operands(
 
 
 def whole_operands(d: Driver, *args: Any) -> Operands:
-    """Compute `operands` in the whole form (`Driver.whole`)."""
+    """Compute `operands` as one record, whose fields are over all links (`Driver.whole`)."""
     return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
 
 
 def _before(top: Topology, i: int) -> int:
-    """Return the link whose twist V gives the rate Psi' = V x S of the axis of link i.
+    """Return the index of the link whose twist V gives the rate V x S of the axis of link i.
 
     It is the parent of the first link of a ball. Otherwise it is link i itself, because S x S = 0.
     """
@@ -197,7 +197,7 @@ def _before(top: Topology, i: int) -> int:
 
 
 def inverse_pairs(S: Any, x: Operands) -> tuple:
-    """Return the factors of `pair_matrix` for dID/dq, dID/dv and M."""
+    """Return the vectors (a, b) of each link that `pair_matrix` needs for dID/dq, dID/dv and M."""
     return (
         ((S, x.force_q), (x.row, x.column_q)),
         ((S, x.force_v), (x.row, x.column_v)),

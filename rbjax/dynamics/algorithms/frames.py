@@ -125,7 +125,12 @@ def _point_motion(
     quantities: tuple,
     motion: Callable[..., Motion],
 ) -> jax.Array:
-    """Compute motion(frame origin in the link, *quantities of the link) as an array (6,)."""
+    """Compute a spatial vector (6,) of a frame at its origin; zero if it is fixed to the world.
+
+    quantities: quantities of links to compute by an outward sweep.
+    motion: function (r, *values) that returns the vector, from the origin r of the frame in its
+        link and the values of the quantities of this link.
+    """
     q, v = state
     d = driver(model, q.dtype)
     link, r = locate_on_link(where, model, d, q, frame)

@@ -95,7 +95,8 @@ def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
-    """Compute the pose of each body from the poses of the links, both in the whole form."""
+    """Compute the pose of each body from the poses of the links. Both are lists, or columns over
+    all bodies and links (the whole form of the driver)."""
     top = d.topology
     if d.listed:
         welds = [d.prepared.weld(b) for b in range(top.nb)]

@@ -28,7 +28,7 @@ from rbjax.model.links import lane
 
 
 class Limbs(unrolled.ListDriver):
-    """The trunk unrolled, and a loop over the limbs of each group.
+    """The driver that unrolls the trunk of a tree, and loops over the equal limbs of each group.
 
     The columns of a per-link value are a list for each group, over the positions in a limb.
     """
@@ -49,10 +49,11 @@ class Limbs(unrolled.ListDriver):
         )
 
     def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
-        """Make a per-link value.
+        """Make a per-link value from functions of its two parts.
 
-        `of_link` returns the value of one link of the trunk. `of_links` returns the column of one
-        position of a group from the links of all limbs at this position.
+        of_link: function that returns the value of one link of the trunk.
+        of_links: function that returns a column from the links of all limbs at one position of a
+            group.
         """
         trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
         positions = [list(zip(*group.links, strict=True)) for group in self._groups]
@@ -211,8 +212,10 @@ class Limbs(unrolled.ListDriver):
     ) -> tuple[list, list]:
         """Call limb(group, xs, carry, known) -> (message, ys) for every limb.
 
-        carry belongs to the trunk link to which the limb is attached; it is `root` at the base.
         Return the sum of the messages to each link of the trunk, and the columns of ys.
+
+        carries: carry of each link of the trunk, to which limbs are attached.
+        root: carry at the base.
         """
         sums, out = [zero] * len(self._trunk), []
         for group, positions in zip(self._groups, xs.rest, strict=True):
@@ -249,7 +252,7 @@ class Limbs(unrolled.ListDriver):
         return pairs, ys
 
     def _limb(self, columns: Any, j: int) -> Any:
-        """Return the lanes of limb j, from the columns over the limbs."""
+        """Return the lanes of limb j in a pytree of columns over the limbs."""
 
         def lane(column):
             cast = self._cast(column)
@@ -306,7 +309,7 @@ def _rows(x: Any, index: Sequence[int]) -> Any:
 
 
 def _merged(*lanes: Lane) -> Any:
-    """Convert the lanes of the limbs to a column, or to a literal if they are equal constants."""
+    """Convert the lanes of the limbs to a column, or to a literal if they are one constant."""
     if not all(map(is_literal, lanes)):
         return jnp.stack([jnp.asarray(x) for x in lanes])
     return lanes[0] if all(x == lanes[0] for x in lanes) else np.array(lanes, float)

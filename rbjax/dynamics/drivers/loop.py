@@ -17,7 +17,7 @@ from rbjax.lanes import Lane, is_literal
 
 
 class Parts:
-    """A per-link value: a list over the unrolled links (`trunk`), and columns for the rest."""
+    """A per-link value: a list over the links of the trunk, and columns of the other links."""
 
     def __init__(self, trunk: list, rest: Any):
         self.trunk, self.rest = trunk, rest
@@ -29,11 +29,12 @@ jax.tree_util.register_pytree_node(
 
 
 class JointColumns:
-    """The joint motions of all iterations.
+    """The joint motions of all iterations, as a function of their columns.
 
     columns: the columns from which the motions are computed.
-    posed: function of f that computes a joint motion. f maps a column to its lane of one iteration.
-        If f is the identity, the result is the motions of all iterations.
+    posed: function that computes a joint motion from f(c) of each column c. With the f that selects
+        the lane of one iteration it is the motion of this iteration. With the identity it is the
+        motions of all iterations.
     """
 
     def __init__(self, posed: Callable[[Callable[[Any], Lane]], PosedJoint], columns: Any):
@@ -41,18 +42,18 @@ class JointColumns:
 
 
 class PoseLane:
-    """Lane k of the poses of joint motions, as a column that is recomputed when it is read."""
+    """A placeholder for lane k of all link poses, which are recomputed when it is read."""
 
     def __init__(self, joint: JointColumns, k: int):
         self.joint, self.k = joint, k
 
     def of(self, posed: PosedJoint) -> Lane:
-        """Return the lane of the pose of one joint motion."""
+        """Return lane k of the pose of one joint motion."""
         return jax.tree.leaves(posed.pose)[self.k]
 
 
 class Constants:
-    """A placeholder for the constants of the links, as a leaf among columns."""
+    """A placeholder for the constants of the links, used as a leaf of a pytree of columns."""
 
 
 class Iteration:
@@ -80,7 +81,7 @@ class Iteration:
 
     @property
     def pose_lanes(self) -> dict[int, PoseLane]:
-        """The `PoseLane` of each lane of a pose, by the id of the lane."""
+        """Placeholders for the lanes of this iteration's link poses, by the id of the lane."""
         return {
             id(x): PoseLane(joint, k)
             for joint, posed in self.joints.values()
@@ -124,7 +125,7 @@ def loop(
 
 
 def _columns(x: Any) -> list:
-    """Return the columns from which a leaf is computed."""
+    """Return the columns from which a leaf of the loop's inputs is computed, without literals."""
     if isinstance(x, PoseLane):
         return _columns(x.joint)
     found = jax.tree.leaves(x.columns) if isinstance(x, JointColumns) else [x]

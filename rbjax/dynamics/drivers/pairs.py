@@ -66,7 +66,10 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
-    """Return f and arrays xs: f of slice j of xs is column j of each `pair_matrix` of `pairs`."""
+    """Return a function f and arrays xs to compute matrices `pair_matrix` column by column.
+
+    For slice j of xs along the first axis, f returns column j (n,) of the matrix of each pair.
+    """
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 

@@ -144,7 +144,7 @@ class Rolled(Driver):
         return jax.tree.map(lambda r, *h: self.pack(Parts(list(h), r), like), rest, *values.trunk)
 
     def _whole(self, x: Any) -> Any:
-        """Return a column. Compute it if it is a `PoseLane`."""
+        """Return a column of values. A `PoseLane` is computed from the joint motions."""
         if not isinstance(x, PoseLane):
             return x
         return x.of(x.joint.posed(lambda c: self._columns if isinstance(c, Constants) else c))
@@ -214,7 +214,7 @@ class Rolled(Driver):
         return Parts(ys, rest)
 
     def _scan(self, body: Callable, carry: Any, xs: Any, *, reverse: bool) -> tuple[Any, Any]:
-        """Scan carry, y = body(carry, index, x) over the columns of xs."""
+        """Scan carry, y = body(carry, index, x) over the links, with x from the columns `xs`."""
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
         rows = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
@@ -282,10 +282,10 @@ def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
 def joint_columns(
     top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
-    """Return a function that returns a `JointMotion`, and the columns that are its arguments.
+    """Return a function that computes a `JointMotion`, and the columns that are its arguments.
 
-    The columns (nv - start, ...) describe the links from `start` on. The function also accepts the
-    lanes of one link.
+    Each column (nv - start, ...) has one entry for each link from `start` on. The function also
+    accepts the entries of one link.
     """
     links = top.dofs[start:]
     batch = (1,) * (q.ndim - 1)
@@ -317,7 +317,7 @@ def joint_columns(
     motion = general(motion)
 
     def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
-        """Replace the rows of one kind in the motion."""
+        """Compute the rows of one kind of dof, and put them into the motion."""
         some = [links[i] for i in rows]
         qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
         vs = [

@@ -106,9 +106,10 @@ def outward(
 def inward(
     parents: Sequence[int], step: Step, sums: list, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """Run an unrolled inward sweep. Return the messages and the y_i.
+    """Run an unrolled inward sweep, from the leaves to the root. Return the message of each link to
+    its parent, and the output of each link.
 
-    `sums` are the initial sums of messages at each link, from other sweeps.
+    sums: initial sum of messages at each link, from other sweeps.
     """
     sums, messages, ys = list(sums), list(xs), list(xs)
     for i in reversed(range(len(xs))):

@@ -94,7 +94,7 @@ def algorithm(
 
         @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
         def program_with(**own: Callable) -> Callable:
-            """Compile f with functions of a user, in a cache with an upper bound of its size."""
+            """Compile f with the user's functions as constants, in a cache of limited size."""
 
             def run(*args: Any, **kwargs: Any) -> Any:
                 return inlined(*args, **kwargs, **own)

@@ -71,7 +71,7 @@ class Signals:
         return self._transmission.turn(self.dtype)
 
     def derivatives(self, f: Callable[[Signals], Lane]) -> tuple[Lane, Lane]:
-        """Compute the derivatives of a force f(signals) by length and speed."""
+        """Compute the derivatives of a force f(signals) by the length and by its rate."""
 
         def force(length: Lane, speed: Lane) -> Lane:
             return jnp.asarray(f(_Moved(self, length, speed)), self.dtype)
@@ -84,7 +84,7 @@ class Signals:
 
 
 class _Moved(Signals):
-    """Signals with another length and speed."""
+    """Signals with replaced length and speed, to differentiate a force by them."""
 
     length: Lane = 0.0
     speed: Lane = 0.0
@@ -123,7 +123,8 @@ class ForceLaw(Record):
         return x
 
     def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
-        """Compute the derivatives of the force by length l and speed l', for an implicit step."""
+        """Compute the derivatives (df/dl, df/dl') of the force by length and rate, for an implicit
+        step."""
         return seen.derivatives(self.force)
 
     def friction_slopes(self, seen: Signals) -> tuple[Lane, Lane]:

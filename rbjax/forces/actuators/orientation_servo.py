@@ -91,7 +91,7 @@ class OrientationServo(Element):
         return self._nearest([self.activation.within(a) for a in x])
 
     def _nearest(self, phi: list[Lane]) -> list[Lane]:
-        """Compute the shortest rotation vector of the same orientation."""
+        """Compute the rotation vector of the same orientation whose angle is at most pi."""
         angle = norm(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
@@ -119,8 +119,8 @@ class OrientationServo(Element):
         return quaternion.exp_lanes(phi)
 
     def _turned(self, context: Context) -> tuple[list[Lane], list[Arms]]:
-        """Compute the orientation as a quaternion, and the moment arms of a torque about each of
-        its axes."""
+        """Compute the orientation of the servo's frame as a quaternion, and three rows of moment
+        arms. Row k has the moment arms of a unit torque about axis k of the frame."""
         if self.joint >= 0:
             top = context.model.topology
             at, start = top.joint_v[self.joint], top.joint_q[self.joint]

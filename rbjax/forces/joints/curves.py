@@ -152,7 +152,11 @@ class JointCurves(Element):
         return total(stored(row) for row in range(len(self.joints)))
 
     def _place(self, context: Context, row: int) -> tuple[Lane, Lane, Lane]:
-        """Compute x clipped to [-1, 1], half the range, and the distance beyond the range."""
+        """Compute the joint's position relative to its range.
+
+        Return x in [-1, 1], clipped, half the length of the range, and the distance beyond the
+        range.
+        """
         ends = table(self.range, context.q.dtype)
         low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
         (q,) = context.joint(self.joints[row]).q

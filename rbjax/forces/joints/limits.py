@@ -144,7 +144,8 @@ def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
 
 
 def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
-    """Return a joint's coordinate and its gradient by the dofs."""
+    """Return the coordinate that has a range, and its gradient by the dofs of the joint. It is q of
+    a hinge or slide, and the rotation angle of a ball."""
     if len(joint.q) == 1:
         return joint.q[0], [1.0]
     if joint.kind != "ball":
@@ -159,14 +160,14 @@ def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
 
 
 def _apart(low: Lane, high: Lane) -> bool:
-    """Check whether the stops at both ends never act at once, by compile-time constant limits."""
+    """Return True if both limits are finite constants, so that only one stop acts at a time."""
     known = is_literal(low) and is_literal(high)
     return known and bool(np.isfinite(low) and np.isfinite(high) and low <= high)
 
 
 def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
-    """Compute the penetration of x into the stop of the nearer end, and the direction of increasing
-    penetration. If the two stops never act at once, one evaluation is enough."""
+    """Compute the penetration of x into the stop at the nearer end, and its gradient by x. Use it
+    if the two stops never act at once."""
     below = x < (low + high) / 2
     end, side = (
         where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))

@@ -50,7 +50,7 @@ def segments(path: Sequence[Waypoint], first: int) -> tuple[Segment, ...]:
 
 @functools.cache
 def _key(tendon: int) -> tuple[str, int]:
-    """Return the key of a tendon for `Context.once`: one object for each index."""
+    """Return the key under which a context stores the reach of a tendon (`Context.once`)."""
     return "tendon", tendon
 
 

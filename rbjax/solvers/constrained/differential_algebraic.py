@@ -161,7 +161,7 @@ def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array)
 
 @dataclass(frozen=True)
 class System:
-    """The stage equations of f(t, y, rates, w) = 0; values that f reads are its last arguments."""
+    """The stage equations f(t, y, rates, w, *read) = 0 of a step, in x = (rates, w)."""
 
     f: Callable[..., jax.Array]
     sizes: Sizes
@@ -192,12 +192,13 @@ class System:
         return jnp.concatenate(parts, 1)
 
     def slope(self, t, y, rate, w, read) -> jax.Array:
-        """Return df / d(y, y', w) (n + m, 2 n + m) at a point."""
+        """Return the Jacobian (n + m, 2 n + m) of f by (y, y', w) at a point."""
         one = jnp.eye(2 * self.n + len(w), dtype=y.dtype)
         return each(self.push(t, y, rate, w, read), one).T
 
     def push(self, t, y, rate, w, read) -> Callable[[jax.Array], jax.Array]:
-        """Return the function d -> derivative of f along a change d of (y, y', w) (2 n + m,)."""
+        """Return the function d -> df, the derivative of f along a change d (2 n + m,) of (y, y',
+        w)."""
         n = self.n
 
         def f(z):
@@ -207,7 +208,7 @@ class System:
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
     def invert_start(self, at: StageProblem) -> Blocks:
-        """Invert approximately the matrix of all stages, at the start of the step."""
+        """Compute blocks of an approximate inverse of the matrix of all stages, at the start."""
         push = self.push(*at.start, at.read)
         return simplified(push, self.sizes, at.h, at.weights, at.free_diagonal)
 
@@ -264,7 +265,7 @@ class System:
             return x - S.sweep(lambda x: self.residual(x, at), shared.free, x, target), target
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
-            """Iterate. Return whether x converged, and x or the guess."""
+            """Iterate Newton steps. Return whether they converged, and the root, else the guess."""
 
             def once(carry: tuple) -> tuple:
                 x, target, before, count, _ = carry
@@ -355,7 +356,7 @@ def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int)
 
 
 def solve_by_sweeps(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
-    """Solve push(x) = b by sweeps with the Schur complement S. Return x and its convergence."""
+    """Solve push(x) = b by `Complement.sweep` of S. Return x and whether it converged."""
     noise = SWEPT_NOISE[b.dtype.itemsize]
     return add_corrections(
         lambda x: S.sweep(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise
@@ -389,8 +390,7 @@ def add_corrections(
 def is_rounding(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
-    """Return whether corrections, relative to y, have reached rounding. `noise` is the largest
-    correction that may be rounding."""
+    """Return whether the next correction is rounding, or corrections stall below `noise`."""
     eps = float(jnp.finfo(now.dtype).eps)
     noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)

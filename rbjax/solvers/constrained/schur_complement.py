@@ -77,7 +77,8 @@ class Factored:
             self._solve = _by_shift(S, jnp.where(E > 0, E, 1.0))
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:
-        """Solve matrix x = r once, for x (s, n + m), regularized towards w = c (s, m)."""
+        """Solve matrix x = r for x (s, n + m), without refinement. w is regularized towards c (s,
+        m)."""
         s = len(r)
         n = len(self._matrix.rates) // s
         k = lu_solve(self._rates, r[:, :n].ravel())
@@ -184,8 +185,8 @@ def complement(
 
 
 def _relax(residual: Function, free: Function, x: jax.Array, n: int) -> tuple[jax.Array, jax.Array]:
-    """Improve the rates of x twice. Return x, and the residuals of the rows before the last
-    improvement."""
+    """Improve the rates of x by two approximate Newton steps with constant w. Return x, and the
+    residuals of the constraint rows before the last step."""
 
     def improve(x: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         r = residual(x)

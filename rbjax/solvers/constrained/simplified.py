@@ -148,7 +148,7 @@ class Simplified(NamedTuple):
     blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
-        """Solve the Newton equations of all stages approximately, for x (s, n + m)."""
+        """Compute an approximate solution x (s, n + m) of the Newton equations of all stages."""
         n, k, depth, _ = self.sizes
         m = n + self.sizes.rows
         du, acting, rows, last = r[:, :k], r[:, k:n], r[:, n:m], r[:, m:]
@@ -171,7 +171,7 @@ class Simplified(NamedTuple):
         return jnp.concatenate([du + _times(ggl.Y, mu), rates, w, mu], 1)
 
     def free(self, r: jax.Array) -> jax.Array:
-        """Solve the Newton equations without constraint rows approximately, for rates (s, n)."""
+        """Compute approximate rates (s, n) of the Newton equations without constraint rows."""
         n, k, *_ = self.sizes
         du, acting = r[:, :k], r[:, k:n]
         if self.blocks.ggl:
@@ -259,5 +259,5 @@ def _regular(S: Inverse, free_diagonal: jax.Array) -> Inverse:
 
 
 def _times(A: jax.Array, x: jax.Array) -> jax.Array:
-    """Multiply each row of x by A."""
+    """Compute x A^T: the product of A and each row of x, in full precision."""
     return jnp.matmul(x, A.T, precision=jax.lax.Precision.HIGHEST)
