@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.errors import InputError
@@ -31,12 +30,11 @@ from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
+from rbjax.sysid.simulation.triangular_factor import triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
 #: with loss="huber", the cost grows linearly above this residual in sigma
 HUBER = 1.345
-#: block size of LAPACK's QR in columns
-BLOCK = 64
 
 
 class Programs(NamedTuple):
@@ -167,8 +165,7 @@ class SimulationError:
         if self.own and difference_step is not None:
             raise InputError(
                 "identify: difference_step with initial states that are estimated, expected known "
-                "ones; give estimate_initial_state=False, or recordings that start from known q "
-                "and v"
+                "ones; give estimate_initial_state=False, or the first q and v of recordings"
             )
         self.programs: Programs = get_cached(make_programs, setup, unknowns, grid, self.own, loss)
         self._last: tuple[np.ndarray, Any] | None = None
@@ -233,8 +230,7 @@ class SimulationError:
     def _seeded_slopes(self, x: np.ndarray) -> Any:
         """Compute r (runs, rows) and its derivatives along the seeds of `colouring`.
 
-        The last result is cached, since the statistics of a fit use the derivatives of its last
-        step.
+        The last result is cached: the statistics of a fit use the derivatives of its last step.
         """
         if self._last is None or not np.array_equal(self._last[0], x):
             if self.difference_step is None:
@@ -396,19 +392,6 @@ def sum_of_squares(r: np.ndarray) -> float:
     with np.errstate(over="ignore"):
         total = float(r @ r)
     return total if np.isfinite(total) else np.inf
-
-
-def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """Compute the QR factor R of rows [J r], or nan if an entry is not finite."""
-    n = rows.shape[1]
-    if not np.isfinite(rows).all():
-        return np.full((n, n), np.nan, rows.dtype)
-    (factorise,) = get_lapack_funcs(("geqrf",), (rows,))
-    # column order and block size of LAPACK, twice as fast as `np.linalg.qr`
-    columns, _, _, _ = factorise(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
-    R: Any = np.triu(columns[:n])
-    missing = n - R.shape[0]
-    return R if missing <= 0 else np.pad(R, ((0, missing), (0, 0)))
 
 
 def _median_step(times: np.ndarray) -> float:
