@@ -38,10 +38,11 @@ from rbjax.constraints.methods.differential_algebraic import (
 )
 from rbjax.constraints.methods.method import Factor, Method, Multipliers, Penalty
 from rbjax.constraints.methods.recursive import Recursive
-from rbjax.constraints.methods.soft import Compliant, Soft, is_soft
+from rbjax.constraints.methods.soft import Compliant
 from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
 from rbjax.constraints.rows.pairs import QuaternionWeld
 from rbjax.constraints.rows.row import Constraint
+from rbjax.constraints.rows.soft import Soft, is_soft
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
@@ -118,7 +119,8 @@ class StageProjection(Factor):
     iterations: int | None = None
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state at which a stage evaluates rates; the step began at t0 in `start`."""
+        """Return the state at which a Runge-Kutta stage evaluates rates, in a step from time t0 and
+        state `start`."""
         raise NotImplementedError(f"{type(self).__name__} has no method stage_state")
 
     def project(self, model: Model, t: Any, state: State) -> State:
@@ -224,8 +226,9 @@ class Formulation:
         return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state at which a stage evaluates rates; the step began at t0 in `start`.
-        Integrators also call it on the state at the end of a step, before `project`."""
+        """Return the state at which a Runge-Kutta stage evaluates rates, in a step from time t0 and
+        state `start`. Integrators also call it on the state at the end of a step, before `project`.
+        """
         if self.projection is None:
             return state
         return self.projection.stage_state(model, t, state, t0, start)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import inertia_of_row, stacked
+from rbjax.contact.problem import stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
 from rbjax.dynamics.drivers.contract import Driver
@@ -27,7 +27,7 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 class Factors(NamedTuple):
     """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
-    contacts."""
+    limits and of the contacts with the world."""
 
     d: Driver
     factors: Any
@@ -85,13 +85,15 @@ class ArticulatedTree(NamedTuple):
         return unpack(d.pack(d.inward(inward, zero, xs), like))
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
-        """Factorize the Hessian of the contact problem.
+        """Factorize the Hessian of the contact problem, without contacts between two links.
 
-        stiffness: (n, 21) sum of J^T H J of the contacts of each link, a symmetric 6 by 6 matrix.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians; each row acts on one dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()
-        K = {link: inertia_of_row(stiffness[k]) for k, (_, link) in enumerate(self.link_pairs)}
+        pairs = enumerate(self.link_pairs)
+        K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
         extra: dict[int, Lane] = {}
         for row, h in rows:
             for i, x in row.J.items():

@@ -153,7 +153,7 @@ class CompliantContact(Element):
         return out
 
     def energy(self, now: Context) -> Lane:
-        """Compute the stored energy, the sum of k x^(p + 1) / (p + 1)."""
+        """Compute the stored energy, the sum of k x^(p + 1) / (p + 1) over penetrations x, J."""
         total: Lane = 0.0
         p = scalar(self.exponent, now.q.dtype)
         for k, (_, _, contacts) in zip(

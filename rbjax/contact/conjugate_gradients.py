@@ -89,7 +89,10 @@ def solve_direction(
 
 
 def coupling(problem: Problem, twists: jax.Array, residuals: Sequence[jax.Array]) -> jax.Array:
-    """Compute J^T s'' J p of the contacts between two links from the twists at p."""
+    """Compute H p of the contacts between two links, from the link twists at a direction p.
+
+    The result is J^T s'' J p with the Hessians s'' of these contacts at the residuals.
+    """
     wrenches = jnp.zeros_like(twists)
     for contacts, slots, r in zip(problem.sets, problem.slots, residuals, strict=True):
         if not contacts.coupled:
@@ -112,7 +115,7 @@ def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
 
 
 def _square(weights: Sequence[Lane], x: jax.Array) -> Lane:
-    """Compute the sum of w_i x_i^2."""
+    """Compute the weighted square sum of w_i x_i^2."""
     return total(mul(w, mul(y, y)) for w, y in zip(weights, unpack(x), strict=True))
 
 

@@ -25,6 +25,8 @@ from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.contact.parameters import tangential_solref
+from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
+from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -41,6 +43,8 @@ class Row(NamedTuple):
         contact: the contact about the origin.
         candidate: index of the candidate in its set.
         first_axes: the axes b_k in the axes of the first link, if the axes of the two links differ.
+        bristle: displacement of each friction row, if they have bristles.
+        latch: the latched normal force, or None.
     """
 
     pair: Any
@@ -50,6 +54,8 @@ class Row(NamedTuple):
     contact: Contact
     candidate: Any
     first_axes: Sequence[Motion] = ()
+    bristle: Sequence[Lane] = ()
+    latch: Lane | None = None
 
     def along(self, y: Motion) -> list[Lane]:
         """Compute the velocity along each row of the contact, b_k . y, for a relative twist y."""
@@ -79,22 +85,6 @@ def wrench_along(axes: Sequence[Motion], f: Sequence[Lane]) -> Force:
     )
 
 
-class Options(NamedTuple):
-    """Options that all contacts of a problem share.
-
-    Fields:
-        elliptic: whether friction cones are elliptic or pyramids.
-        impratio: impedance of friction over the impedance of the normal row.
-        dt: step in s, from which the least time constant of a contact follows.
-        refsafe: whether time constants are at least two steps.
-    """
-
-    elliptic: bool
-    impratio: Lane
-    dt: Any
-    refsafe: bool
-
-
 class World(NamedTuple):
     """The geoms and links that can touch, about the common origin.
 
@@ -103,12 +93,16 @@ class World(NamedTuple):
         twists: (n, 6) twist of each link; the last one is the world.
         poses: (n, 12) rotation and position of each link, if rows are in the axes of their links.
         heights: of the height fields, as `Geoms.heights`.
+        responses: (2, n, 21) sum of S_j S_j^T / m_j over the dofs between each pair of links, with
+            the diagonal m of the mass matrix, and with the one that the solver uses, if they
+            differ.
     """
 
     geoms: jax.Array
     twists: jax.Array
     poses: jax.Array | None = None
     heights: tuple[jax.Array, ...] = ()
+    responses: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +142,7 @@ class ContactSet:
         return Cone(self.options.elliptic, row.D, tuple(mu), self.options.impratio)
 
     def rates(self, row: Row, twists: jax.Array) -> list[Lane]:
-        """Compute J v of a contact from the twists of the links."""
+        """Compute the velocity along each row of a contact, J v, from the link twists at v."""
         one, other = (unpack(twists[k]) for k in self._ends(row))
         if not self.coupled:
             return row.along(Motion.from_lanes([y - x for x, y in zip(one, other, strict=True)]))
@@ -157,14 +151,14 @@ class ContactSet:
         return [b.dot(second) - a.dot(first) for a, b in both]
 
     def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
-        """Add J^T f of a contact to the wrenches on the links."""
+        """Add the forces f along the rows of a contact to the wrenches on its two links."""
         one, other = self._ends(row)
         second = jnp.stack(list(row.wrench(f)))
         first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
         return wrenches.at[one].add(-first).at[other].add(second)
 
     def _ends(self, row: Row) -> list[Any]:
-        """Return the index of both links of a contact."""
+        """Return the indices of the two links of a contact."""
         return [_entry(self.links[:, k], row.pair) for k in (0, 1)]
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
@@ -246,6 +240,9 @@ class ContactSet:
         v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
+        if world.responses is not None:
+            mu = () if self.options.elliptic else self.cone(row).mu
+            D = D * stretch(row.axes, mu, world.responses[:, _entry(self.link_pairs, pair)])
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
 
     def axes(self, world: World, contact: Contact, pair: Any) -> list[list[Motion]]:
@@ -268,6 +265,11 @@ class ContactSet:
         given, options, pair = self.parameters, self.options, row.pair
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
         d, weight, mu = impedance(r, solimp), self._lane(self.weights, pair), self.cone(row).mu
+        if options.discrete:
+            own = self._lanes(given.solreffriction, pair)
+            slides = tangential_solref(solref, own) if options.elliptic else None
+            terms = d, weight, solref, slides, solimp, mu
+            return contact_at_the_end(r, v, *terms, options.impratio, options.dt, options.refsafe)
 
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
             return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)

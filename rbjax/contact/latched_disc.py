@@ -31,7 +31,7 @@ from rbjax.contact.contact_rows import ContactSet, Found, Row, World
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.spatial import Motion
 
 #: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
 NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
@@ -92,42 +92,6 @@ class Disc(NamedTuple):
         return Response(f, H)
 
 
-class DiscRow(NamedTuple):
-    """The rows of one contact, with its bristle.
-
-    Fields:
-        pair, axes, D, reference: as in `Row`.
-        candidate: index of the candidate.
-        bristle: s of the friction rows.
-        frame: axes of the contact in the world, row by row.
-        latch: the latched normal force, or None.
-    """
-
-    pair: Any
-    axes: list[Motion]
-    D: Lane
-    reference: list[Lane]
-    candidate: Any
-    bristle: list[Lane]
-    frame: list[Vec3]
-    latch: Lane | None = None
-
-    def along(self: Any, y: Motion) -> list[Lane]:
-        """Compute the velocity along each row of the contact, b_k . y, for a relative twist y."""
-        return Row.along(self, y)
-
-    def wrench(self: Any, f: Sequence[Lane]) -> Force:
-        """Compute the wrench of the forces f along the rows, the sum of b_k f_k."""
-        return Row.wrench(self, f)
-
-    def stiffness(self: Any, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
-        """Compute the 6 by 6 stiffness of the contact, the sum of b_k H_kl b_l^T over its rows.
-
-        H: lower triangle of the Hessian in the rows.
-        """
-        return Row.stiffness(self, H)
-
-
 class DiscSlots(NamedTuple):
     """The active contacts of a set, in consecutive slots.
 
@@ -143,14 +107,13 @@ class DiscSlots(NamedTuple):
     bristles: jax.Array
     latches: jax.Array
 
-    def row(self, k: Any, dim: int) -> DiscRow:
+    def row(self, k: Any, dim: int) -> Row:
         """Return the rows of active contact k. dim: number of rows."""
         x, found, contact = unpack(self.rows[k]), self.found, self.found.contact(k)
         axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
-        frame = list(contact_frame(contact.normal, contact.tangent))
-        return DiscRow(
-            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], found.candidates[k],
-            unpack(self.bristles[k]), frame, self.latches[k],
+        return Row(
+            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], contact, found.candidates[k],
+            bristle=unpack(self.bristles[k]), latch=self.latches[k],
         )  # fmt: skip
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
@@ -209,8 +172,8 @@ class DiscSet(ContactSet):
         if self.dim > 3:
             turn = Vec3(*(memory[i] for i in range(4, 7)))
             s += [x.dot(turn) for x in e][: self.dim - 3]
-        row = DiscRow(pair, axes, 0.0, [], candidate, s, list(e))
-        v = self.rates(row, world.twists)  # type: ignore[arg-type]
+        row = Row(pair, axes, 0.0, [], contact, candidate, bristle=s)
+        v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         given = self.parameters
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
@@ -221,10 +184,13 @@ class DiscSet(ContactSet):
         D = 1.0 / regularisation(d, self._lane(self.weights, pair))
         return row._replace(D=jnp.where(active, D, 0.0), reference=[push, *drag])
 
-    def collect(self, world: World) -> DiscSlots:
-        """Run the narrow phase and store the active contacts, with the forces of the last step."""
+    def collect(self, world: World, *, gap: bool = False) -> DiscSlots:
+        """Run the narrow phase and store the active contacts, with the forces of the last step.
+
+        gap: whether to include the contacts in the gap, which have no force.
+        """
         n, m, dtype = self.candidates, 7 * self.dim + 1, world.geoms.dtype
-        found = self.found(world)
+        found = self.found(world, gap=gap)
 
         def compute(k: Any, carry: tuple) -> tuple:
             rows, bristles, latches = carry
@@ -252,7 +218,7 @@ class DiscSet(ContactSet):
             jnp.where(kept, (1.0 - self.share) * x + h * h * y, 0.0)
             for x, y in zip(row.bristle, r[1:], strict=True)
         ]
-        e = row.frame
+        e = contact_frame(row.contact.normal, row.contact.tangent)
         parts = [jnp.where(active, cone.normal(r[0]), 0.0), *(e[1] * s[0] + e[2] * s[1])]
         if self.dim > 3:
             turn = e[0] * s[2]

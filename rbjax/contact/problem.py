@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, pack, sub, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -98,12 +98,12 @@ class Tree(NamedTuple):
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
         """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) sum of J^T H J of the contacts of each pair of links, a symmetric 6 by 6
-            matrix.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
+            (`Row.stiffness`).
         rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]
-        K = [inertia_of_row(k) for k in stiffness]
+        K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
         fixed: dict[int, Any] = {}
         for (a, b), k in zip(self.link_pairs, K, strict=True):
             if WORLD in (a, b):
@@ -131,12 +131,6 @@ def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> No
         F = fusion_barrier(K(S[i]))
         for j in order[: at + 1]:
             A[i][j] = add(A[i][j], S[j].dot(F))
-
-
-def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
-    """Return the symmetric 6 by 6 matrix K from its entries (21,): the blocks J, H and M."""
-    x = unpack(row)
-    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
 
 
 def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:

@@ -19,14 +19,18 @@ from rbjax.contact.contact_forces import (
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
-from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
+from rbjax.contact.solution import (
+    ContactSolution,
+    SolutionArrays,
+    sources_of_rows,
+    with_rule_of,
+)
+from rbjax.dynamics.algorithms.energy import Entries
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import (
     jax_arrays,
-    jvp_of,
     split_tracers,
     with_implicit_jvp,
-    with_jvp,
 )
 from rbjax.errors import InputError
 from rbjax.lanes import batch_first, pack
@@ -35,52 +39,76 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0, *, values: bool = False,
+    dt: Any = None, t: Any = 0.0, added: Entries | None = None, *, values: bool = False,
 ) -> Problem:  # fmt: skip
     """Return the contact problem of a model, with its active contacts.
 
-    `dt` is the step, or None for the model's timestep. `values` is as in `Assembly`.
+    `dt` is the step, or None for the model's timestep. `added` and `values` are as in `Assembly`.
     """
-    problem = Assembly(model, q, v, dt, t, values=values).problem(tau, f_ext)
+    problem = Assembly(model, q, v, dt, t, added, values=values).problem(tau, f_ext)
     return problem.detect()
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0,
-) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0, added: Entries | None = None,
+) -> tuple[jax.Array, ...]:  # fmt: skip
     """Compute the acceleration (nv,) with contacts, limits, friction loss and equalities. Return
-    with it the number of Newton steps, as a real number, and the error of the solution.
+    with it the number of Newton steps, as a real number, and the error of the solution; in the
+    `discrete` integrator also the number of rows that act on each link (nv,).
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
-    The features of geoms that touch are held constant.
+    The features of geoms that touch are held constant. `added` is as in `Assembly`.
     """
-    given, rebuilt = split_tracers((model, f_ext, dt, t))
+    given, rebuilt = split_tracers((model, f_ext, dt, t, added))
 
     def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
-        model, f_ext, dt, t = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt, t, values=values)
+        model, f_ext, *rest = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, *rest, values=values)
         return problem, solve(problem, iterations=iterations)
 
+    def results(problem, found):
+        counts = () if added is None else (_rows_of_links(problem, found.x),)
+        return *_with_report(found), *counts
+
     def plain(*at):
-        return batch_first(_with_report(solved_at(*at, values=True)[1]), at)
+        return batch_first(results(*solved_at(*at, values=True)), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
-        return _with_report(found), [factorize_at(problem, found).solve]
+        return results(problem, found), [factorize_at(problem, found).solve]
 
     def residual(changed, q, v, tau, a):
-        model, f_ext, dt, t = rebuilt(changed)
-        assembly = Assembly(model, q, v, dt, t)
-        problem, d = assembly.problem(tau, f_ext), assembly.d
+        model, f_ext, *rest = rebuilt(changed)
+        assembly = Assembly(model, q, v, *rest)
+        problem = assembly.problem(tau, f_ext)
         pushes = pack(problem.constraint_forces(a), tau)
-        return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
+        return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
 
 
 def _with_report(found: Solution) -> tuple[jax.Array, jax.Array, jax.Array]:
     return found.x, found.iterations.astype(found.x.dtype), found.error
+
+
+def _rows_of_links(problem: Problem, like: jax.Array) -> jax.Array:
+    """Count the contacts on each link and the active rows on each dof, (nv,)."""
+    counts: list[Any] = [0.0] * len(like)
+    for row in problem.rows:
+        for i in row.J:
+            counts[i] = counts[i] + jnp.where(row.D > 0, 1.0, 0.0)
+    touching = problem.tree.touching
+    found = jnp.zeros(len(touching) + 1, like.dtype)
+    for contacts, slots in zip(problem.sets, problem.slots, strict=True):
+
+        def count(k: Any, n: jax.Array, of: Any = contacts, slots: Any = slots) -> jax.Array:
+            return n.at[jnp.asarray(of.links)[slots.found.pairs[k]]].add(1.0)
+
+        found = slots.fold(count, found)
+    for k, link in enumerate(touching):
+        counts[link] = counts[link] + found[k]
+    return pack(counts, like)
 
 
 def solution_at(
@@ -113,12 +141,8 @@ def solution_at(
         contacts = rows_of_candidates(problem, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
-    def rule(primals: tuple, tangents: tuple) -> tuple:
-        value, rate = jvp_of(differentiable, primals, tangents)
-        return value, jax.tree.map(jnp.zeros_like, value) if rate is None else rate
-
-    found = with_jvp(plain, rule)(given, q, v, tau)
-    return found.solution(*names)
+    found = with_rule_of(plain, differentiable)(given, q, v, tau)
+    return found.solution(*names, tolerance_of(q.dtype))
 
 
 @dataclass(frozen=True)
@@ -170,11 +194,12 @@ class SoftContact:
         return a, error
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
-        return tolerance_of(dtype)
+        """Return the largest error of a converged step, in a dtype: ten times the error at which
+        the iteration ends, since rounding may leave more."""
+        return 10 * tolerance_of(dtype)
 
     def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
-        """Compute some of the results of `contact_acceleration`."""
+        """Compute the results of `contact_acceleration` that the slice `which` selects."""
         model, q, v, tau, *rest = self._arguments(*given)
 
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
@@ -182,11 +207,33 @@ class SoftContact:
 
         return threads(solved)(q, v, tau)
 
+    def step_map(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any,
+        added: Entries,
+    ) -> list[jax.Array]:  # fmt: skip
+        """Compute (v+ - v) / h (nv,) of the `discrete` integrator, the error of the solver, and the
+        number of rows that act on each link (nv,).
+
+        tau: generalized forces with -h K v. added: h D + h^2 K by entry.
+        """
+        _, q, v, tau, *rest, _, t = self._arguments(model, t, state, tau, f_ext)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            a, _, *others = contact_acceleration(model, q, v, tau, *rest, dt, t, added)
+            return [a, *others]
+
+        return threads(solved)(q, v, tau)
+
     def solve(
-        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None
-    ) -> ContactSolution:
-        """Compute the acceleration with all forces, and the report of the solver."""
-        return solution_at(*self._arguments(model, t, state, tau, f_ext))
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None,
+        dt: Any = None,
+    ) -> ContactSolution:  # fmt: skip
+        """Compute the acceleration with all forces, and the report of the solver.
+
+        dt: step in s, if the law has none of its own; None for the model's timestep.
+        """
+        *given, own, t = self._arguments(model, t, state, tau, f_ext)
+        return solution_at(*given, dt if own is None else own, t)
 
     def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
         t = t if model.constraints else 0.0  # only constraints depend on time
@@ -199,7 +246,8 @@ class SoftContact:
         return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
-        """Raise InputError if the law of a name has no parameters for a model."""
+        """Raise InputError if a model lacks the parameters of contact. name: the law, for the
+        message."""
         if model.solver is None or model.geoms is None:
             raise InputError(
                 f"{where}: contact={name!r} needs the contact parameters of a file, and the model "

@@ -168,7 +168,7 @@ def kept_forces(
 
 
 def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
-    """Return the mode at the start, and whether a contact touches and opens there."""
+    """Return the mode at the start, and whether a contact that touches is opening there."""
     at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
     u, contacts = jax.lax.stop_gradient(system.slip(at.q, at.v))
     near, least = _small(at.q.dtype)

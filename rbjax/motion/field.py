@@ -14,9 +14,10 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.equations.soft_weights import with_weights
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.constraints.rows.soft import is_soft
 from rbjax.contact.coulomb import CoulombContact
-from rbjax.contact.inverse_weights import with_weights
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -24,7 +25,7 @@ from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
-from rbjax.forces.acting import applied, slopes, within
+from rbjax.forces.acting import applied, slopes, stable_slopes, within
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import Slope
@@ -88,7 +89,7 @@ class Field:
     precomputed: Model = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        soft = isinstance(self.dynamics, SoftContact)
+        soft = isinstance(self.dynamics, SoftContact) or is_soft(self.model)
         object.__setattr__(self, "precomputed", with_weights(self.model) if soft else self.model)
         object.__setattr__(self, "model", without_constants(self.model))
 
@@ -126,9 +127,17 @@ class Field:
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute M a (nv,) of free motion, x (nx,) after a step dt, memory and report."""
-        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
-        bias = forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
-        return tau - bias, x, self.kept(state, None)
+        tau, f_ext, x = self.step_forces(t, state, u, dt)
+        return tau - self.bias(state, f_ext), x, self.kept(state, None)
+
+    def step_forces(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple:
+        """Compute the generalized forces (nv,), forces on links, and x (nx,) after a step dt."""
+        return applied(self.precomputed, t, state, u, dt, advance=True)
+
+    def bias(self, state: State, f_ext: LinkForces) -> jax.Array:
+        """Compute the generalized bias forces b - J^T f_ext (nv,) at a state under forces
+        on links."""
+        return forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute the acceleration (nv,), x (nx,) after a step dt, memory and report."""
@@ -137,11 +146,12 @@ class Field:
         return a, x, self.kept(state, error)
 
     def kept(self, state: State, error: jax.Array | None) -> tuple:
-        """Return memory and report after a step with accelerations of an error."""
+        """Return memory and report of the state after a step. error: the error of the contact
+        solver."""
         return state.memory, self.report(state, error)
 
     def report(self, state: State, error: jax.Array | None) -> jax.Array | None:
-        """Return the report of a state after a step with an error of the solver."""
+        """Return the report of a state after a step. error: the error of the contact solver."""
         if state.report is None or error is None:
             return state.report
         return with_step(state.report, error, self.dynamics.solver_tolerance(error.dtype))
@@ -202,6 +212,12 @@ class Field:
     ) -> list[Slope]:
         """List the stiffness and damping of the forces, or of the elements of a class."""
         return slopes(self.precomputed, t, state, u.ctrl, dt, of=of)
+
+    def stable_slopes(
+        self, t: Any, state: State, u: Inputs, dt: Any
+    ) -> tuple[list[Slope], list[Slope]]:
+        """List the stiffness and damping of the forces, none below zero."""
+        return stable_slopes(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
         """Return the state for the rates of a stage, in a step that begins at (t0, start)."""

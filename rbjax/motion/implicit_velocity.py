@@ -71,7 +71,7 @@ class ImplicitVelocity:
         out: dict[tuple[int, int], Lane] = matrix(found, lambda slope: slope.damping, turning)
         if turning:
             bias = bias_derivative(model, state.q, state.v)
-            for i, j in _coupled(model.topology, turning):
+            for i, j in coupled(model.topology, turning):
                 out[i, j] = add(out.get((i, j), 0.0), bias[i, j])
         return out
 
@@ -93,7 +93,7 @@ def floating(top: Topology) -> set[int]:
     return out
 
 
-def _coupled(top: Topology, dofs: Container[int]) -> list[tuple[int, int]]:
+def coupled(top: Topology, dofs: Container[int]) -> list[tuple[int, int]]:
     """List the pairs of dofs that the tree couples."""
     pairs = [(i, j) for i, path in enumerate(top.ancestors) for j in path if i in dofs]
     return [*pairs, *((j, i) for i, j in pairs if i != j)]

@@ -2,6 +2,7 @@
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
     implicit velocity     with the damping matrix, see `implicit_velocity`
+    discrete              springs and contacts act at the end of a step, see `step_map`
     variational midpoint  on momenta, see `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
@@ -30,6 +31,7 @@ from rbjax.motion.field import Field, VelocityDynamics, free_motion
 from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.implicit_velocity import ImplicitVelocity
 from rbjax.motion.solver_report import reports
+from rbjax.motion.step_map import step_map
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -100,6 +102,7 @@ INTEGRATORS: dict[str, Integrator] = {
     "euler_implicit_damping": ImplicitVelocity("euler_implicit_damping", JointPolynomials),
     "implicitfast": ImplicitVelocity("implicitfast"),
     "implicit": ImplicitVelocity("implicit"),
+    "discrete": step_map,
 }
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
@@ -123,8 +126,7 @@ def integrator_of(
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
-        own = model.solver if isinstance(dynamics, SoftContact) and model is not None else None
-        integrator = "semi_implicit_euler" if own is None else own.integrator
+        integrator = default_integrator(dynamics, model)
     velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
     if velocities and isinstance(integrator, str) and integrator != "semi_implicit_euler":
         raise InputError(
@@ -146,13 +148,29 @@ def integrator_of(
     return INTEGRATORS[integrator]
 
 
+def default_integrator(
+    dynamics: Any, model: Model | None, smooth: str = "semi_implicit_euler"
+) -> str:
+    """Return the name of the default integrator of a dynamics.
+
+    It is the integrator of the model's file for MuJoCo's contacts, semi-implicit Euler for a law
+    that gives the velocity after a step, and `smooth` for other motions.
+    """
+    if isinstance(dynamics, SoftContact) and model is not None and model.solver is not None:
+        return model.solver.integrator
+    if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
+        return "semi_implicit_euler"
+    return smooth
+
+
 def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
     """Advance a state by a step of any integrator, clip the states of force elements to their
     ranges, and project the state onto the constraints of a formulation.
 
-    The report of an integrator that returns none has the error at the start of the step.
+    If the integrator returns no report of the contact solver, the error at the start of the step
+    counts.
     """
     after: Any = integrator(field, t, state, u, dt)
     if state.report is not None and isinstance(after, State) and after.report is None:

@@ -72,6 +72,10 @@ def rollout(
     and the bias forces of bodies that float freely; or -d(tau - b)/dv. Other force elements may
     define their part (`Element.slopes`). Rigid constraints need another integrator.
 
+    `discrete`: springs, dampers, servos and the rows of MuJoCo's contacts act at the end of a step,
+    in one problem with the matrix M + dt D + dt^2 K, as in MuJoCo. Use it for stiff springs and
+    servos, and for contacts with time constants below the step.
+
     `variational_midpoint`: order 2, symplectic in (q, p = M v), attitudes included, and implicit in
     all forces. Energy does not drift. A step has 6 evaluations (`VariationalMidpoint(evaluations)`
     changes the number) and costs as much as 4.5 to 8 steps of semi-implicit Euler. A step that does
@@ -103,8 +107,9 @@ def rollout(
             (steps, nb, 6), or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated
             once a step.
         integrator: one of "semi_implicit_euler", "euler_implicit_damping", "implicitfast",
-            "implicit", "variational_midpoint", "rk4", "tsit5", "dopri8", "dop853"; or a function
-            (field, t, state, inputs, dt) -> state (`rbjax.motion.integrators.Integrator`). None:
+            "implicit", "discrete", "variational_midpoint", "rk4", "tsit5", "dopri8", "dop853"; or a
+            function (field, t, state, inputs, dt) -> state
+            (`rbjax.motion.integrators.Integrator`). None:
             "semi_implicit_euler"; with MuJoCo's contacts `model.solver.integrator`, the
             integrator of the file. For constraints of index 2 and 3 a fully implicit method
             (`rbjax.constraints.DifferentialAlgebraic`).

@@ -37,7 +37,8 @@ def initial_report(dynamics: Any, dtype: Any, batch: tuple[int, ...] = ()) -> ja
 
 
 def with_step(report: jax.Array, error: jax.Array, tolerance: float) -> jax.Array:
-    """Add a step to a report. The report has no derivative."""
+    """Add a step to a report: count it if its error is above the tolerance, and keep the largest
+    error. The report has no derivative."""
     error = jax.lax.stop_gradient(error).astype(report.dtype)
     failed = ~(error <= tolerance)  # NaN is a failure
     return jnp.stack([report[0] + failed, jnp.maximum(report[1], error)])

@@ -206,7 +206,7 @@ class ReportingSolver(Wrapped):
 
 
 def _reporting(terms: Any) -> Any:
-    """Return the terms with vector fields that report."""
+    """Return the diffrax terms with vector fields that report the error of the contact solver."""
     return _of_fields(terms, reports=True)
 
 

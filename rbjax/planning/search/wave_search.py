@@ -38,7 +38,7 @@ def join(parts: list[Nodes]) -> Nodes:
 
 
 def add_to(shelves: Shelves, costs: np.ndarray, nodes: Any) -> None:
-    """Add nodes to the lists of their costs (n,), in order."""
+    """Add nodes to the lists by cost of `shelves`. costs: (n,), one for each node."""
     order = np.argsort(costs, kind="stable")
     values, first = np.unique(costs[order], return_index=True)
     for cost, *ends in zip(values, first, [*first[1:], None], strict=False):
@@ -189,7 +189,7 @@ class WaveSearch:
     def way_to(self, last: Any) -> tuple[np.ndarray, np.ndarray]:
         """Trace the path from the root to a node. Return its poses (n + 1, 3) and controls (n,).
 
-        last: the node, as nodes of length one.
+        last: the node, as a record of nodes with one entry.
         """
         firsts = np.cumsum([0, *(len(wave.x) for wave in self.visited)])
         places: list[tuple[float, float]] = []

@@ -114,7 +114,7 @@ def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     flat = jnp.sqrt(jnp.finfo(dtype).eps)
 
     def rows(k, low, high):
-        """Return the half-planes a u + b x <= c of step k, for a final x in [low, high].
+        """Return the constraints a u + b x <= c of step k, for a final x in [low, high].
 
         x is the squared path speed at the start of the step, and u the path acceleration.
         """
@@ -163,7 +163,8 @@ def _fastest(rates: jax.Array) -> jax.Array:
 
 
 def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
-    """Compute the largest x (n,) by the limits of rates, at one end of the steps."""
+    """Compute the largest squared path speed x (n,) within the limits of rates, at one end of the
+    steps."""
     v = side.twist
     steer = _fastest(p.bends) / limits.steering_rate
     ways = [

@@ -90,8 +90,9 @@ class Likelihood:
         self.drives, self.reads = (np.flatnonzero(x) for x in (drives, reads))
         self.size = n + self.drives.size + self.reads.size
         self.levels = levels
-        dynamics = dynamics_of("prediction_error", setup.model, free_motion, None)
-        integrator = integrator_of("prediction_error", grid.integrator, dynamics)
+        at, model = "prediction_error", setup.model
+        dynamics = dynamics_of(at, model, free_motion, None)
+        integrator = integrator_of(at, grid.integrator_of(model), dynamics, model)
 
         def space(now: Setup) -> StateSpace:
             model, T, count = now.model, grid.period, grid.substeps

@@ -140,8 +140,9 @@ def simulate_parts(
     tree: Any = each[0][1]
     makers, constants, traced = _separate([leaves for leaves, _ in each])
 
-    if isinstance(grid.integrator, str):  # a loop over the stages makes the program short
-        grid = grid._replace(integrator=loop_stages(grid.integrator))
+    integrator = grid.integrator_of(now.model)
+    if isinstance(integrator, str):  # a loop over the stages makes the program short
+        grid = grid._replace(integrator=loop_stages(integrator))
 
     def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
         return prepare_setup(jax.tree.unflatten(tree, [make(*numbers) for make in makers]))

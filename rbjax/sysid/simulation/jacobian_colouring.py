@@ -79,7 +79,8 @@ class Colouring(NamedTuple):
         return found
 
     def basis(self, part: int) -> np.ndarray:
-        """Return the weights (K, n) of the unknowns that act on a part. `ALL`: of all unknowns."""
+        """Return the weights (K, n), with zeros for unknowns that do not act on a part. `ALL`: no
+        zeros."""
         if part == ALL:
             return self.weights
         return self.weights * np.isin(self.part_of_unknown, (part, ALL))

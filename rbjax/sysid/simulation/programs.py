@@ -52,7 +52,7 @@ class _Entry:
 
     @functools.cached_property
     def _written(self) -> tuple[jax.Array, list[Any]]:
-        """Values p of the unknowns, and the leaves of the set-up with these values."""
+        """Return values p of the unknowns, and the leaves of the set-up with these values."""
         guess = np.asarray(self.unknowns.read(self.setup))
         # avoid p = 0, since a factor p would hide another number
         p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)

@@ -293,7 +293,7 @@ class SimulationError:
         return found
 
     def _bases(self) -> dict[str, list[np.ndarray | None]]:
-        """Return the matrix that expands seed derivatives to the entries of x, by sensor and
+        """Return the matrix from derivatives along the seeds to derivatives by x, by sensor and
         column. Equal matrices are one object."""
         coloured = self.colouring
         found: dict[str, list[np.ndarray | None]] = {}

@@ -57,7 +57,7 @@ class Rows(NamedTuple):
     basis: np.ndarray | None = None
 
     def times(self, matrix: np.ndarray) -> np.ndarray:
-        """Multiply the derivatives by x (m, n) with a matrix (n, r)."""
+        """Multiply the derivatives by x, (m, n), with a matrix (n, r)."""
         own = matrix[self.which]
         return self.J @ (own if self.basis is None else self.basis @ own)
 
