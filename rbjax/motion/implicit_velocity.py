@@ -21,13 +21,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from rbjax.constraints.formulation import Formulation
-from rbjax.contact.rows.tendon_weights import armature_entries
 from rbjax.dynamics.algorithms.derivatives import bias_derivative
 from rbjax.dynamics.algorithms.energy import product, velocity_of
 from rbjax.errors import InputError
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import matrix
+from rbjax.forces.tendons.tendon_weights import armature_entries
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import WORLD, State, Topology
 from rbjax.motion.field import Field, free_motion

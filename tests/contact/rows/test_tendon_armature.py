@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.inverse_weights import inverse_weights
-from rbjax.contact.rows.tendon_weights import tendon_weights
+from rbjax.forces.tendons.tendon_weights import tendon_weights, weights_with_tendons
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY
 
@@ -47,7 +46,7 @@ def test_nothing_is_dropped_and_weights_are_those_of_mujoco() -> None:
     m, model = both()
     assert model.dropped == () and model.tendons.inertial == (0, 1)
     np.testing.assert_allclose(model.tendons.armature, [0.7, 2.3])
-    body, dof = inverse_weights(model)
+    body, dof = weights_with_tendons(model)
     np.testing.assert_allclose(body, m.body_invweight0[1:], rtol=1e-9)
     np.testing.assert_allclose(dof, m.dof_invweight0, rtol=1e-9)
     np.testing.assert_allclose(tendon_weights(model), m.tendon_invweight0, rtol=1e-9)

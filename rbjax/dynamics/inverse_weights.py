@@ -11,32 +11,35 @@ Source: Jain, *Robot and Multibody Dynamics*, ch. 10 (operational space complian
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.contact.rows.tendon_weights import armature_updates, tendon_weights
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.rolled import Rolled
 from rbjax.dynamics.drivers.unrolled import Unrolled
-from rbjax.forces.context import Context
 from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
 from rbjax.lanes import Lane, Vec3, add, mul, total
-from rbjax.model import WORLD, Model, State, prepare, without_constants
+from rbjax.model import WORLD, Model, prepare
 from rbjax.model.cells import constant_leaves
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
+#: a function of two arrays that returns both
+Correction = Callable[[Any, Any], tuple[Any, Any]]
 #: MuJoCo's least weight of a body that moves
 LEAST = 1e-15
 
 
-def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
+def inverse_weights(
+    model: Model, dtype: Any = None, correct: Correction | None = None
+) -> tuple[Any, Any]:
     """Compute MuJoCo's body_invweight0 (nb, 2) and dof_invweight0 (nv,).
 
     body[:, 0] is the mean of diag(J M^-1 J^T) of the three translations of the centre of mass,
@@ -48,6 +51,8 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     Args:
         model: the robot.
         dtype: the dtype of traced results; the one of the model if None.
+        correct: applied to the weights of bodies (nb, 2) and to diag(M^-1), for inertia that is
+            not in the links.
     """
     dtype = model.gravity.dtype if dtype is None else dtype
     if model.execution.weights is not None:
@@ -64,22 +69,17 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     if constant and not isinstance(model.bodies.com, jax.core.Tracer):
         found = np.zeros((model.nb, 2))
         found[_moving(model)] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
-        with jax.ensure_compile_time_eval():
-            both = _with_armature(model, found, np.array(diagonal))
-        found, diagonal = (np.asarray(x, np.float64) for x in both)
+        diagonal = np.array(diagonal)
+        if correct is not None:
+            with jax.ensure_compile_time_eval():
+                found, diagonal = (np.asarray(x, np.float64) for x in correct(found, diagonal))
         return _with_slides(model, found, _averaged(model, diagonal))
     like = jnp.zeros((), dtype)
     dof = d.pack(diagonal, jnp.zeros(model.nv, dtype))
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
     body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
-    body, dof = _with_armature(model, body, dof)
+    body, dof = (body, dof) if correct is None else correct(body, dof)
     return _with_slides(model, body, _averaged(model, dof))
-
-
-def with_weights(model: Model, dtype: Any = None) -> Model:
-    """Precompute the inverse weights of bodies, dofs and tendons and store them in the model, for
-    all steps of a motion."""
-    return model.replace(weights=(*inverse_weights(model, dtype), tendon_weights(model)))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:
@@ -157,26 +157,6 @@ def _weights(response: ArticulatedInertia, weld: Transform, centre: Vec3) -> tup
     to forces, and the mean rotational response to moments."""
     J = response.shifted(-(weld.p + weld.R @ centre)).J
     return mul(1 / 3, total(list(J)[:3])), mul(1 / 3, total(list(response.M)[:3]))
-
-
-def _with_armature(model: Model, body: Any, dof: Any) -> tuple[Any, Any]:
-    """Subtract from the weights of bodies (nb, 2) and dofs (nv,) the effect of tendon armatures."""
-    own = model.tendons
-    if own is None or not own.inertial:
-        return body, dof
-    model = without_constants(model)
-    for c, u in armature_updates(model):
-        context = Context.of(model, 0.0, State(model.joints.reference, u), None)
-        rows = []
-        for b in range(model.nb):
-            frame = context.body(b)
-            w = frame.angular_velocity
-            com = table(model.bodies.com, u.dtype)
-            v = frame.velocity + w.cross(frame.pose.R @ Vec3(*(com[b, k] for k in range(3))))
-            rows.append(jnp.stack([jnp.asarray(x.dot(x), u.dtype) for x in (v, w)]))
-        body = body - c * jnp.stack(rows) / 3
-        dof = dof - c * u * u
-    return body, dof
 
 
 def _with_slides(model: Model, body: Any, dof: Any) -> tuple[Any, Any]:

@@ -6,6 +6,7 @@ They scale the regularization of the rows of a tendon (MuJoCo's tendon_invweight
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
@@ -13,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics import inverse_mass_matrix
+from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
 from rbjax.forces.tendons.lengths import tendon_jacobian
 from rbjax.forces.tendons.paths import tendon_reach
-from rbjax.lanes import Lane, add, mul
+from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model, State, without_constants
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
@@ -29,15 +31,16 @@ def has_tendon_rows(model: Model) -> bool:
     return own is not None and bool(own.limited or own.rubbing or own.inertial)
 
 
-def tendon_weights(model: Model) -> Any:
-    """Compute the inverse inertias (nt,) of tendons; (0,) if no tendon has limits or friction loss.
+def tendon_weights(model: Model, *, every: bool = False) -> Any:
+    """Compute the inverse inertias (nt,) of tendons; (0,) if no tendon has limits or friction loss,
+    unless `every` is True.
 
     They are a function of the model's leaves: masses, lengths and geoms change them as mj_setConst
     does. They are a NumPy array if the model is constant while tracing.
     """
-    if model.execution.weights is not None:
+    if model.execution.weights is not None and not every:
         return model.execution.weights[2]
-    if not has_tendon_rows(model):
+    if not has_tendon_rows(model) and not every:
         return np.zeros(0)
     model = without_constants(model)
     if is_traced(model):
@@ -85,3 +88,31 @@ def _updated(model: Model) -> tuple[jax.Array, list[tuple[jax.Array, jax.Array]]
 def _weights(model: Model) -> jax.Array:
     J, inverse = tendon_jacobian(model, model.joints.reference), _updated(model)[0]
     return (J[:, :, None] * inverse * J[:, None, :]).sum((1, 2)) if J.size else jnp.zeros(len(J))
+
+
+def weights_with_tendons(model: Model, dtype: Any = None) -> tuple[Any, Any]:
+    """Compute the inverse inertias of bodies (nb, 2) and dofs (nv,) with the armature of tendons.
+
+    Arguments are those of `inverse_weights`.
+    """
+    own = model.tendons
+    if own is None or not own.inertial:
+        return inverse_weights(model, dtype)
+    return inverse_weights(model, dtype, functools.partial(_with_armature, model))
+
+
+def _with_armature(model: Model, body: Any, dof: Any) -> tuple[Any, Any]:
+    """Subtract from the weights of bodies (nb, 2) and dofs (nv,) the effect of tendon armatures."""
+    model = without_constants(model)
+    for c, u in armature_updates(model):
+        context = Context.of(model, 0.0, State(model.joints.reference, u), None)
+        rows = []
+        for b in range(model.nb):
+            frame = context.body(b)
+            w = frame.angular_velocity
+            com = table(model.bodies.com, u.dtype)
+            v = frame.velocity + w.cross(frame.pose.R @ Vec3(*(com[b, k] for k in range(3))))
+            rows.append(jnp.stack([jnp.asarray(x.dot(x), u.dtype) for x in (v, w)]))
+        body = body - c * jnp.stack(rows) / 3
+        dof = dof - c * u * u
+    return body, dof
