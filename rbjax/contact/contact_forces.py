@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from rbjax.contact.contact_rows import ContactSet, Slots, place_of
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.newton import Solution
-from rbjax.contact.problem import Problem, residual
+from rbjax.contact.problem import Problem
 from rbjax.lanes import Lane, Vec3, pack
 from rbjax.model import Model
 from rbjax.model.record import Record
@@ -115,7 +115,7 @@ def rows_of_candidates(
 
         def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
             (rows, wrenches), k = carry, row.candidate
-            f = of.cone(row).response(residual(of, row, twists)).f
+            f = of.cone(row).response(of.residual(row, twists)).f
             f = [jnp.where(active, x, 0.0) for x in f]
             values = _row(place_of(row.contact), origin, f, rows[0])
             values = jnp.where(row.contact.exists, values, rows[k])

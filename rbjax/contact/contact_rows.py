@@ -13,7 +13,7 @@ axes e_k of a contact at p, and the twists V of its two links about o,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -26,7 +26,7 @@ from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.contact.parameters import tangential_solref
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
+from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -127,6 +127,17 @@ class ContactSet:
     dtype: Any
 
     @property
+    def tables(self) -> tuple[Any, Any, Any]:
+        """The numbers of each pair, of each candidate, and of all contacts."""
+        columns = self.parameters._replace(condim=())
+        return (columns, self.weights), (), self.options
+
+    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> ContactSet:
+        """Return the set with other `tables`."""
+        del by_candidate
+        return replace(self, parameters=by_pair[0], weights=by_pair[1], options=shared)
+
+    @property
     def candidates(self) -> int:
         """The number of candidate contacts."""
         return sum(COUNTS[kind.kinds] * len(pairs) for kind, pairs in self.kinds.items())
@@ -138,19 +149,24 @@ class ContactSet:
 
     def relative(self, row: Row, twists: jax.Array) -> Motion:
         """Compute the twist of the second link of a contact relative to the first one."""
-        one, other = (twists[_entry(self.links[:, k], row.pair)] for k in (0, 1))
+        one, other = (twists[entry(self.links[:, k], row.pair)] for k in (0, 1))
         return Motion.from_lanes([other[k] - one[k] for k in range(6)])
+
+    def residual(self, row: Any, twists: jax.Array) -> list[Lane]:
+        """Compute J x - a_ref of a contact from the link twists at x."""
+        y = row.along(self.relative(row, twists))
+        return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
 
     def add_wrench(self, row: Row, wrenches: jax.Array, wrench: Force) -> jax.Array:
         """Add a wrench on the second link of a contact and its opposite on the first link."""
         lanes = jnp.stack(list(wrench))
-        one, other = (_entry(self.links[:, k], row.pair) for k in (0, 1))
+        one, other = (entry(self.links[:, k], row.pair) for k in (0, 1))
         return wrenches.at[one].add(-lanes).at[other].add(lanes)
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
         """Add K to the sum (n, 21) of the pair of links of a contact."""
         lanes = jnp.stack([*K.J, *K.H, *K.M])
-        return sums.at[_entry(self.link_pairs, row.pair)].add(lanes)
+        return sums.at[entry(self.link_pairs, row.pair)].add(lanes)
 
     def scan(self, world: World, step: Callable[[Any, Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
@@ -169,7 +185,7 @@ class ContactSet:
 
             def of_pair(carry: Any, at: Any, kind: Any = kind) -> tuple[Any, None]:
                 pair, first = at
-                one, other = (_shape(world.geoms[_entry(self.geoms[:, k], pair)]) for k in (0, 1))
+                one, other = (shape_of(world.geoms[entry(self.geoms[:, k], pair)]) for k in (0, 1))
                 margin = self._lane(self.parameters.margin, pair)
                 reach = margin + self._lane(self.parameters.gap, pair)
                 found = pair_contacts(kind, one, other, reach, world.heights)
@@ -195,8 +211,7 @@ class ContactSet:
         def store(found: Found, contact: Contact, pair: Any, candidate: Any, active: Any) -> Found:
             # a branch, because stores at places that differ between the lanes of a warp are slow
             k, more = found.length, contact.exists if gap else active
-            tangent = Vec3.zero() if contact.tangent is None else contact.tangent
-            lanes = [contact.distance, *contact.position, *contact.normal, *tangent]
+            lanes = contact_lanes(contact)
 
             def stored() -> Found:
                 return Found(
@@ -238,7 +253,7 @@ class ContactSet:
         """Transform axes to the link that touches the world, if all contacts are with the world."""
         if world.poses is None:
             return axes
-        moving = _entry(self.links.min(1), pair)  # the world is the last one
+        moving = entry(self.links.min(1), pair)  # the world is the last one
         x = unpack(world.poses[moving])
         E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
         return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
@@ -267,14 +282,14 @@ class ContactSet:
 
     def _lanes(self, table: Any, pair: Any) -> list[Lane]:
         """Return the row of a pair in a table (n, m) as lanes."""
-        found = _entry(table, pair)
+        found = entry(table, pair)
         if isinstance(found, np.ndarray):
             return [float(x) for x in found]
         return list(found.astype(self.dtype))
 
     def _lane(self, table: Any, pair: Any) -> Lane:
         """Return the entry of a pair in a table (n,) as a lane."""
-        found = _entry(table, pair)
+        found = entry(table, pair)
         return float(found) if isinstance(found, np.generic) else found.astype(self.dtype)
 
 
@@ -302,6 +317,12 @@ class Found(NamedTuple):
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the slots in use."""
         return jax.lax.fori_loop(0, self.length, step, carry)
+
+
+def contact_lanes(contact: Contact) -> list[Lane]:
+    """Return the lanes of a contact in `Found.contacts`."""
+    tangent = Vec3.zero() if contact.tangent is None else contact.tangent
+    return [contact.distance, *contact.position, *contact.normal, *tangent]
 
 
 def place_of(contact: Contact) -> list[Lane]:
@@ -350,12 +371,13 @@ class Slots(NamedTuple):
         return self.found.fold(step, carry)
 
 
-def _shape(row: jax.Array) -> Shape:
+def shape_of(row: jax.Array) -> Shape:
+    """Return the shape of a row of `World.geoms`."""
     lanes = [row[k] for k in range(15)]
     return Shape(Vec3(*lanes[9:12]), Mat3(*lanes[:9]), Vec3(*lanes[12:]))
 
 
-def _entry(table: Any, index: Any) -> Any:
+def entry(table: Any, index: Any) -> Any:
     """Return a row of a table, without a gather if the table or the index is constant."""
     if not isinstance(table, np.ndarray):
         return table[index]

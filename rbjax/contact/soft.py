@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
@@ -65,13 +66,16 @@ def contact_acceleration(
 
     def solved(*at):
         problem, found = solved_at(*at)
-        return _with_report(found), [factorize_at(problem, found).solve]
+        factors = factorize_at(problem, found)
+        # a derivative that saves these values does not solve the problem again
+        values = tuple(checkpoint_name(x, "acceleration") for x in _with_report(found))
+        return values, [factors.solve], problem.in_use
 
-    def residual(changed, q, v, tau, a):
+    def residual(changed, q, v, tau, a, used):
         model, f_ext, dt, t = rebuilt(changed)
         assembly = Assembly(model, q, v, dt, t)
         problem, d = assembly.problem(tau, f_ext), assembly.d
-        pushes = pack(problem.constraint_forces(a), tau)
+        pushes = pack(problem.constraint_forces(a, used), tau)
         return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))

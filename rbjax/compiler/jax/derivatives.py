@@ -73,7 +73,24 @@ def _substitute(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
     return [a if isinstance(a, Literal) else env[a] for a in atoms]
 
 
+def _is_plain_program(eqn: JaxprEqn) -> bool:
+    """Return whether an equation calls a program of one sample that has no derivative rule."""
+    if eqn.primitive.name != "threads" or eqn.params["batch"]:
+        return False
+    program = eqn.params["program"]
+    return program.vjp is None and program.for_batch_size is None
+
+
+def without_nested(closed: ClosedJaxpr) -> ClosedJaxpr:
+    """Replace the programs that a jaxpr calls by their equations."""
+    eqns = Equations(nested=True)
+    ins = [Var(v.aval) for v in closed.jaxpr.invars]
+    return eqns.close(ins, eqns.inline(closed, ins, None))
+
+
 def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
+    if eqn.primitive.name == "threads":
+        return eqn.params["program"].closed
     inner = eqn.params["jaxpr" if "jaxpr" in eqn.params else "call_jaxpr"]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
@@ -196,9 +213,13 @@ def _avals(atoms: Sequence[Atom]) -> tuple:
 
 
 class Equations:
-    """A jaxpr under construction: its equations and the constants that they read."""
+    """A jaxpr under construction: its equations and the constants that they read.
 
-    def __init__(self) -> None:
+    nested: whether programs that a jaxpr calls are replaced by their equations.
+    """
+
+    def __init__(self, *, nested: bool = False) -> None:
+        self.nested = nested
         self.eqns: list[JaxprEqn] = []
         self.consts: dict[Var, object] = {}
 
@@ -213,7 +234,7 @@ class Equations:
         env = self.bind(closed, args)
         for eqn in closed.jaxpr.eqns:
             ins = _substitute(env, eqn.invars)
-            if eqn.primitive.name in INLINED:
+            if eqn.primitive.name in INLINED or (self.nested and _is_plain_program(eqn)):
                 outs: Sequence[Atom] = self.inline(_inner_jaxpr(eqn), ins, at)
             else:
                 outs = self.append(eqn, ins, at)
