@@ -15,8 +15,9 @@
 #
 # `rb.load` reads the contacts, limits and friction loss of a file. `rb.step`, `rb.rollout` and
 # `rb.simulate` then move the robot on the ground. A box falls, slides and stands on a ramp under
-# two contact laws, and a ball bounces, with the derivative of the bounce by the height of its fall.
-# `docs/contacts.md` lists the laws with their limits.
+# two contact laws. A quadruped walks, a gripper lifts a cube, and a ball bounces, with the
+# derivative of the bounce by the height of its fall. `docs/contacts.md` lists the laws with their
+# limits.
 
 # %%
 import jax
@@ -25,7 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rbjax as rb
-from rbjax.plotting import STYLE
+from rbjax.plotting import STYLE, Camera, draw, strobe
 
 jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)
@@ -117,6 +118,114 @@ axes[1].set(xlabel="speed, m/s", ylabel="m", title="Distance to the stop")
 axes[2].set(xlabel="t, s", ylabel="speed, m/s", title="Creep on a ramp")
 for axis in axes:
     axis.legend()
+
+# %% [markdown]
+# ## Walk
+#
+# The geoms of the bundled scenes do not touch. A `ModelBuilder` has the scene as a `mujoco.MjSpec`:
+# here the feet are given the collision masks to touch the floor, and the motors become servos of
+# the joint angles. The angles of a trot are their controls. Diagonal legs swing together, a foot on
+# the ground moves back by the length of a stride, and no state is fed back. Three robots with three
+# strides are one batch.
+
+# %%
+builder = rb.ModelBuilder("quadruped")
+for geom in builder.spec.geoms:
+    geom.contype = int(geom.name.endswith("foot"))
+    geom.conaffinity = int(geom.name == "floor")
+for motor in builder.spec.actuators:
+    motor.forcerange, motor.ctrlrange = motor.ctrlrange, [-3, 3]
+    motor.set_to_position(kp=200, kv=5)
+walker = builder.build()
+LEG, HEIGHT, PERIOD = 0.22, 0.363, 0.4  # of thigh and shank, of the hip, of a step and a swing
+
+
+def trot(t, stride):
+    """The angles of abduction, hip and knee of four legs, whose hips are HEIGHT above the feet."""
+    phase = (t / PERIOD + jnp.array([0.0, 0.5, 0.5, 0.0])) % 1.0
+    swing, s, grown = phase < 0.5, 2 * phase % 1.0, jnp.minimum(t / 0.8, 1.0)
+    x = grown * stride * jnp.where(swing, -0.5 * jnp.cos(jnp.pi * s), 0.5 - s)
+    z = grown * jnp.where(swing, 0.06 * jnp.sin(jnp.pi * s) ** 2, 0.0) - HEIGHT
+    knee = -2 * jnp.arccos(jnp.hypot(x, z) / (2 * LEG))
+    return jnp.stack([0 * x, jnp.arctan2(-x, -z) - knee / 2, knee], -1).ravel()
+
+
+strides = jnp.array([0.1, 0.2, 0.3])
+times = DT * jnp.arange(2000)
+angles = jax.vmap(lambda stride: jax.vmap(lambda t: trot(t, stride))(times))(strides)
+three = jax.tree.map(lambda x: jnp.tile(x, (3, 1)), walker.keyframe("stand"))
+walk = rb.rollout(walker, three, angles, DT, save_every=5)
+print("speed of the feet", np.asarray(2 * strides / PERIOD).round(2), "m/s")
+mean = (walk.q[:, -1, 0] - walk.q[:, 200, 0]) / (walk.ts[-1] - walk.ts[200])
+print("speed of the trunk", np.asarray(mean).round(2), "m/s")
+print("height of the trunk", np.asarray(walk.q[:, 200:, 2].min(1)).round(3), "m at least")
+
+# %% [markdown]
+# The forces on the feet at the saved states, for the second robot. The servos read their controls,
+# so the state alone does not determine a force.
+
+# %%
+step = jax.jit(jax.vmap(lambda q, v, u: rb.contact.solve(walker, rb.State(q, v), u)))
+feet = step(walk.q[1, :-1], walk.v[1, :-1], angles[1, ::5])
+weight = G * float(walker.bodies.mass.sum())
+held = float(feet.contacts.force[200:, :, 0].sum(1).mean())
+print("mean of the normal forces", round(held, 1), "N, weight", round(weight, 1), "N")
+print("all converged", bool(feet.converged.all()))
+
+figure, axes = plt.subplots(1, 2, figsize=(12, 3.3), layout="constrained", width_ratios=[2, 1])
+strobe(axes[0], builder.spec, walker, np.asarray(walk.q[1, 40::72]), camera=Camera(-80, 10))
+axes[0].set(title="A trot of 4 s, stride 0.2 m")
+names = "front left", "front right", "hind left", "hind right"
+for k, name in enumerate(names):
+    axes[1].plot(walk.ts[300:380], feet.contacts.force[300:380, k, 0] / weight, label=name)
+axes[1].set(xlabel="t, s", title="Normal forces over the weight")
+axes[1].legend()
+
+# %% [markdown]
+# ## Grasp
+#
+# Two fingers press on a cube with 5 N each, and the hand lifts it by 15 cm. Only friction holds the
+# cube: 2 mu 5 N = 8 N against its weight of 2 N. Under MuJoCo's law the cube creeps out of the
+# hand. Under `coulomb` it stays.
+
+# %%
+GRIPPER = """<mujoco><option cone="elliptic"/><default><geom friction="0.8"/></default><worldbody>
+  <geom type="plane" size="0.3 0.3 1"/>
+  <body name="hand" pos="0 0 0.16"><joint name="lift" type="slide" axis="0 0 1"/>
+    <geom type="box" size="0.07 0.02 0.015" mass="0.5" contype="0" conaffinity="0"/>
+    <body name="left" pos="-0.05 0 -0.07"><joint name="left" type="slide" axis="1 0 0"/>
+      <geom type="box" size="0.006 0.015 0.055" mass="0.1" rgba="0.16 0.4 0.7 1"/></body>
+    <body name="right" pos="0.05 0 -0.07"><joint name="right" type="slide" axis="-1 0 0"/>
+      <geom type="box" size="0.006 0.015 0.055" mass="0.1" rgba="0.16 0.4 0.7 1"/></body></body>
+  <body name="cube" pos="0 0 0.025"><freejoint/>
+    <geom type="box" size="0.025 0.025 0.025" mass="0.2" rgba="0.93 0.5 0.15 1"/></body></worldbody>
+  <contact><exclude body1="left" body2="right"/></contact>
+  <actuator><position joint="lift" kp="2000" kv="110"/>
+    <motor joint="left"/><motor joint="right"/></actuator></mujoco>"""
+gripper = rb.load(GRIPPER)
+seconds = DT * jnp.arange(1500)
+lift = 0.15 * jnp.clip((seconds - 0.3) / 0.7, 0.0, 1.0)
+commands = jnp.stack([lift, jnp.full(1500, 5.0), jnp.full(1500, 5.0)], -1)
+grasp = {
+    law: rb.rollout(gripper, gripper.default_state(), commands, DT, contact=law, save_every=5)
+    for law in LAWS
+}
+slip = {law: path.q[:, 5] - path.q[:, 0] for law, path in grasp.items()}  # of cube in hand
+for law in LAWS:
+    print(f"{law:8} slip from 1.5 to 3 s: {float(slip[law][-1] - slip[law][150]):+.1e} m")
+
+# %%
+last = grasp["mujoco"].state(-1)
+touches = rb.contact.solve(gripper, last, commands[-1]).contacts
+figure, axes = plt.subplots(1, 3, figsize=(12, 3.3), layout="constrained")
+draw(gripper, gripper.default_state().q, axes[0], source=GRIPPER, camera=Camera(-70, 12))
+draw(gripper, last.q, axes[1], source=GRIPPER, camera=Camera(-70, 12), contacts=touches)
+axes[0].set(title="Before")
+axes[1].set(title="After, with contact forces")
+for law in LAWS:
+    axes[2].plot(grasp[law].ts, 1e3 * (slip[law] - slip[law][150]), label=law)
+axes[2].set(xlabel="t, s", ylabel="mm", title="Slip of the cube in the hand", ylim=(-3, 3))
+axes[2].legend()
 
 # %% [markdown]
 # ## The gradient of a bounce

@@ -118,7 +118,8 @@ class StageProjection(Factor):
     iterations: int | None = None
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state at which a stage evaluates rates; the step began at t0 in `start`."""
+        """Return the state at which a Runge-Kutta stage evaluates rates, in a step from time t0 and
+        state `start`."""
         raise NotImplementedError(f"{type(self).__name__} has no method stage_state")
 
     def project(self, model: Model, t: Any, state: State) -> State:
@@ -224,8 +225,9 @@ class Formulation:
         return self.method(model, t, state, tau, f_ext, *gains)
 
     def stage_state(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
-        """Return the state at which a stage evaluates rates; the step began at t0 in `start`.
-        Integrators also call it on the state at the end of a step, before `project`."""
+        """Return the state at which a Runge-Kutta stage evaluates rates, in a step from time t0 and
+        state `start`. Integrators also call it on the state at the end of a step, before `project`.
+        """
         if self.projection is None:
             return state
         return self.projection.stage_state(model, t, state, t0, start)

@@ -1,8 +1,9 @@
-"""The contact problem of a tree that touches only the world, by articulated-body sweeps.
+"""The contact problem of a tree by articulated-body sweeps.
 
 If the contacts of a link are with the world, K = sum of b_k H_kl b_l^T adds to its inertia, and the
 Hessian of the problem is the mass matrix of a tree with these inertias. One sweep of ABA factorizes
 it in O(n), without the matrix. Vectors and rows are in the axes of their link, at its origin.
+Contacts of two links that move are left to `conjugate_gradients`.
 
 Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7; Sathya & Carpentier, *Constrained
 articulated body dynamics algorithms*, 2024.
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import inertia_of_row, stacked
+from rbjax.contact.problem import stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import (
     accelerated,
@@ -32,13 +33,14 @@ from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
 class Factors(NamedTuple):
-    """The factors of the Hessian."""
+    """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
+    limits and of the contacts with the world."""
 
     d: Driver
     factors: Any
 
     def solve(self, b: jax.Array) -> jax.Array:
-        """Solve H x = b."""
+        """Solve for x (nv,) with the factored Hessian as matrix and b (nv,) as right side."""
         return self.d.pack(solve(self.d, self.factors, self.d.lanes(b)), b)
 
     def named(self) -> Factors:
@@ -53,7 +55,7 @@ class ArticulatedTree(NamedTuple):
         d: driver whose whole form is a list.
         joints: joint motions, per link.
         touching: the links that can touch the world.
-        link_pairs: (WORLD, link) for each of them.
+        link_pairs: (WORLD, link) for each link that can touch the world.
         weights: inverse inertia of each dof, which scales the error.
         poses: of each link in its parent, if a derivative saves the factors; else None.
     """
@@ -70,7 +72,8 @@ class ArticulatedTree(NamedTuple):
         return self._replace(poses=transforms(self.d, self.joints))
 
     def twists(self, x: jax.Array, dtype: Any) -> jax.Array:
-        """Compute the twists (n + 1, 6) of the links that can touch and of the world."""
+        """Compute the twists (n + 1, 6) of the links that can touch and of the world, at velocities
+        x (nv,)."""
 
         def outward(at: Any, parent: Motion) -> tuple[Motion, Motion]:
             link, joint, qdd = at
@@ -85,7 +88,7 @@ class ArticulatedTree(NamedTuple):
         return stacked([*(list(found[i]) for i in self.touching), [0.0] * 6], dtype)
 
     def generalized(self, wrenches: jax.Array) -> list[Lane]:
-        """Compute J^T f from the wrenches (n + 1, 6) on the links that can touch."""
+        """Compute the joint forces J^T f from wrenches (n + 1, 6) on the links that can touch."""
         d, zero = self.d, Force.zero()
         given = {i: Force.from_lanes(unpack(wrenches[k])) for k, i in enumerate(self.touching)}
 
@@ -99,9 +102,15 @@ class ArticulatedTree(NamedTuple):
         return unpack(d.pack(d.inward(inward, zero, xs), like))
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
-        """Factorize M + J^T H J. stiffness: (n, 21) K of each link. rows: rows of single dofs."""
+        """Factorize the Hessian of the contact problem, without contacts between two links.
+
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
+            (`Row.stiffness`).
+        rows: scalar rows with their Hessians; each row acts on one dof.
+        """
         d, zero = self.d, ArticulatedInertia.zero()
-        K = {link: inertia_of_row(stiffness[k]) for k, (_, link) in enumerate(self.link_pairs)}
+        pairs = enumerate(self.link_pairs)
+        K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
         extra: dict[int, Lane] = {}
         for row, h in rows:
             for i, x in row.J.items():
@@ -110,7 +119,8 @@ class ArticulatedTree(NamedTuple):
         return Factors(d, factorize(d, self.joints, *given, self.poses))
 
     def step(self, found: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Solve H x = b. Return x and the twists of `twists` at x."""
+        """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`
+        does."""
         d = self.d
         left = eliminated(d, found.factors, d.lanes(b))
         x, twists = d.unzip(accelerated(d, left, twists=True), 2)

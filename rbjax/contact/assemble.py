@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.contact_rows import ContactSet, Options, World
+from rbjax.contact.contact_rows import ContactSet, World
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.inverse_weights import inverse_weights
@@ -19,20 +19,22 @@ from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
 from rbjax.contact.rows.dof_rows import dof_rows
 from rbjax.contact.rows.equality_rows import equality_rows
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
 from rbjax.contact.rows.tendon_weights import has_tendon_rows, tendon_weights
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
+from rbjax.dynamics.algorithms.energy import Entries, product
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
-from rbjax.lanes import Mat3, Vec3, sub, unpack
+from rbjax.lanes import Lane, Mat3, Vec3, add, sub, unpack
 from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane
-from rbjax.spatial import Transform
+from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 class Touching(NamedTuple):
@@ -72,14 +74,20 @@ class Assembly:
     """The parts of the contact problem of a model at (q, v), in world axes about one origin.
 
     The origin is the last link of the first body that moves. `dt` is the step in s, None for the
-    model's timestep, and `t` the time in s, which constraints read.
+    model's timestep, and `t` the time in s, which constraints read. `added` is the matrix h D +
+    h^2 K of the `discrete` integrator by entry, which adds to the mass matrix; None for others.
+    `values`: whether the problem is solved without derivatives, so that an iteration may treat
+    contacts inside a tree.
     """
 
-    def __init__(self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0):
+    def __init__(
+        self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0,
+        added: Entries | None = None, *, values: bool = False,
+    ):  # fmt: skip
         model = _in_dtype(model, q.dtype)
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
-        self.dt = model.timestep if dt is None else dt
-        self.touching = Touching.of(model)
+        self.dt, self.added = model.timestep if dt is None else dt, added
+        self.touching, self.values = Touching.of(model), values
         self.d = self._driver()
         self.joints = self.d.joints(q, v)
         poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
@@ -94,10 +102,11 @@ class Assembly:
         world = self._world() if self.touching.geoms else None
         return Problem(self._tree(), rhs, self._sets(), self._rows, world, dtype)
 
-    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> Any:
-        """Compute M a + b - J^T f_ext, per link."""
+    def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> jax.Array:
+        """Compute M a + b - J^T f_ext (nv,), where M includes the added matrix."""
         d = self.d
-        return rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext)
+        out = d.pack(rnea(d, self.joints, d.lanes(a), d.prepared.gravity, f_ext), a)
+        return out + product(self.added, a) if self.added else out
 
     def _driver(self) -> Driver:
         """Return a driver whose whole form is a list."""
@@ -110,11 +119,19 @@ class Assembly:
 
     @cached_property
     def _articulated(self) -> bool:
-        """Whether all contacts are with the world, other rows are on single dofs, and all links are
-        rigid."""
-        world = all(WORLD in pair for pair in self.touching.link_pairs)
+        """Whether articulated-body sweeps solve the problem: all links are rigid, other rows are on
+        single dofs, and contacts are with the world or, for values, inside one tree.
+
+        A contact inside a tree, as of a hand with a thigh, is rare and costs iterations of
+        conjugate gradients. A contact of two trees, as of a hand with an object, lasts, so a
+        factorization in joint space is faster.
+        """
+        roots = [path[0] for path in self.top.ancestors]
+        apart = [pair for pair in self.touching.link_pairs if WORLD not in pair]
+        inside = all(roots[a] == roots[b] for a, b in apart) if self.values else not apart
         rigid = not any(dof.kind.modal for dof in self.top.dofs)
-        return rigid and world and not self._rows_of_several_dofs
+        free = self.added is None and not self._rows_of_several_dofs
+        return free and rigid and inside
 
     @property
     def _rows_of_several_dofs(self) -> bool:
@@ -124,14 +141,52 @@ class Assembly:
         return balls or has_tendon_rows(self.model) or bool(self.model.constraints)
 
     def _tree(self) -> Tree | ArticulatedTree:
-        links = self.touching.links, self.touching.link_pairs
+        moving, pairs = self.touching.links, self.touching.link_pairs
         weights = [lane(self._weights[1], i) for i in range(self.top.nv)]
         if self._articulated:
-            return ArticulatedTree(self.d, self.joints, *links, weights)
+            world = [pair for pair in pairs if WORLD in pair]  # the first ones
+            return ArticulatedTree(self.d, self.joints, moving, world, weights)
+        M = [list(row) for row in self._mass_matrix]
+        for (i, j), x in (self.added or {}).items():
+            if j <= i:
+                M[i][j] = add(M[i][j], x)
+        return Tree(self.top.parents, self.top.ancestors, self._axes, M, moving, pairs, weights)
+
+    @cached_property
+    def _axes(self) -> list[Motion]:
+        """The axes of the dofs in world axes."""
         both = zip(self._poses, self.joints, strict=True)
-        S = [pose.motion_to_parent(joint.S) for pose, joint in both]
-        M = [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
-        return Tree(self.top.parents, self.top.ancestors, S, M, *links, weights)
+        return [pose.motion_to_parent(joint.S) for pose, joint in both]
+
+    @cached_property
+    def _mass_matrix(self) -> list[list[Lane]]:
+        """The rows of the lower triangle of the mass matrix."""
+        return [row[: i + 1] for i, row in enumerate(mass_matrix_rows(self.d, self.joints))]
+
+    def _inverse_diagonals(self) -> tuple[list[Lane], list[Lane]]:
+        """Compute the inverse diagonal entries 1 / m_j of the mass matrix, and of the solver's
+        matrix."""
+        own = [row[-1] for row in self._mass_matrix]
+        solver = [add(m, (self.added or {}).get((i, i), 0.0)) for i, m in enumerate(own)]
+        return [1.0 / m for m in own], [1.0 / m for m in solver]
+
+    def _responses(self) -> jax.Array | None:
+        """Compute the field `responses` of `World`; None unless matrix terms are added."""
+        if self.added is None:
+            return None
+        tables = []
+        for inverse in self._inverse_diagonals():
+            rows = []
+            for pair in self.touching.link_pairs:
+                one, other = (set() if i == WORLD else {*self.top.ancestors[i]} for i in pair)
+                K = ArticulatedInertia.zero()
+                for j in sorted(one ^ other):
+                    S = self._axes[j]
+                    F = Force(S.ang, S.lin)
+                    K = K + ArticulatedInertia.outer(F * inverse[j], F)
+                rows.append([*K.J, *K.H, *K.M])
+            tables.append(stacked(rows, self.q.dtype))
+        return jnp.stack(tables)
 
     def _world(self) -> World:
         own: Any = self.model.geoms
@@ -154,7 +209,7 @@ class Assembly:
         else:
             twists = [[*self._poses[i].motion_to_parent(self._twists[i])] for i in moving]
         moved = stacked([*twists, [0.0] * 6], dtype)
-        return World(stacked(rows, dtype), moved, poses, own.heights)
+        return World(stacked(rows, dtype), moved, poses, own.heights, self._responses())
 
     @cached_property
     def _weights(self) -> tuple[Any, Any]:
@@ -180,31 +235,39 @@ class Assembly:
             given, weights.sum(-1), self._options, self.q.dtype,
         )  # fmt: skip
         sets = []
-        for dim in sorted(set(given.condim)):
+        apart = [
+            self._articulated and WORLD not in touching.link_pairs[k] for k in touching.pair_of
+        ]
+        sorts = list(zip(given.condim, apart, strict=True))
+        for dim, coupled in sorted(set(sorts)):
             kinds: dict[PairKind, list[int]] = {}
             for n, pair in enumerate(pairs):
-                if given.condim[n] == dim:
+                if sorts[n] == (dim, coupled):
                     kinds.setdefault(PairKind.of(geoms, pair), []).append(n)
-            sets.append(ContactSet(dim, kinds, *tables))
+            sets.append(ContactSet(dim, kinds, *tables, coupled))
         return sets
 
     @property
     def _options(self) -> Options:
         own: Any = self.model.solver
         impratio = own.impratio if is_traced(own.impratio) else float(own.impratio)
-        return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe)
+        discrete = self.added is not None
+        return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe, discrete)
 
     @cached_property
     def _rows(self) -> list[ScalarRow]:
-        """The rows of limits, friction loss and equalities."""
+        """The constraint rows of joint and tendon limits, friction loss and equalities."""
         model, options = self.model, self._options
         rows = dof_rows(model, self.q, self.v, self._weights[1], options)
-        if not has_tendon_rows(model) and not model.constraints:
+        if has_tendon_rows(model) or model.constraints:
+            context = Context.of(model, self.t, State(self.q, self.v), None, d=self.d)
+            if has_tendon_rows(model):
+                rows += tendon_rows(context, tendon_weights(model), options)
+            rows += equality_rows(context, options)
+        if self.added is None:
             return rows
-        context = Context.of(model, self.t, State(self.q, self.v), None, d=self.d)
-        if has_tendon_rows(model):
-            rows += tendon_rows(context, tendon_weights(model), options)
-        return rows + equality_rows(context, options)
+        inverses = self._inverse_diagonals()
+        return [row.stretched(*inverses) for row in rows]
 
 
 def _in_dtype(model: Model, dtype: Any) -> Model:

@@ -153,7 +153,7 @@ class CompliantContact(Element):
         return out
 
     def energy(self, now: Context) -> Lane:
-        """Compute the stored energy, the sum of k x^(p + 1) / (p + 1)."""
+        """Compute the stored energy, the sum of k x^(p + 1) / (p + 1) over penetrations x, J."""
         total: Lane = 0.0
         p = scalar(self.exponent, now.q.dtype)
         for k, (_, _, contacts) in zip(
@@ -184,7 +184,11 @@ class CompliantContact(Element):
     def _push(
         self, a: Frame, b: Frame, contact: Contact, k: Lane, d: Lane, mu: Lane, dtype: Any
     ) -> Loads:
-        """Return the loads of one contact: the force on b at the contact, and its reaction on a."""
+        """Return the loads of one contact: the force on body b at the contact, and its reaction on
+        a.
+
+        k, d, mu: stiffness, damping and friction coefficient of the contact.
+        """
         n, at = contact.normal, contact.position
         u = _velocity(b, at) - _velocity(a, at)
         rate = n.dot(u)  # of the distance
@@ -203,7 +207,8 @@ def _velocity(body: Frame, at: Vec3) -> Vec3:
 
 
 def _penetration(contact: Contact) -> Lane:
-    """Return max(-distance, 0), or zero if the candidate is not a contact."""
+    """Return the penetration max(-distance, 0) of a contact, m; zero if the candidate is not a
+    contact."""
     return jnp.where(contact.exists, jnp.maximum(-contact.distance, 0.0), 0.0)
 
 

@@ -49,7 +49,8 @@ class Cone(NamedTuple):
     impratio: Lane = 1.0
 
     def response(self, r: Sequence[Lane]) -> Response:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at the residual r = J x - a_ref of each
+        row."""
         if not self.mu:
             return _frictionless(r[0], self.D)
         if self.elliptic:

@@ -25,6 +25,8 @@ from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
 from rbjax.contact.parameters import tangential_solref
+from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
+from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -40,6 +42,9 @@ class Row(NamedTuple):
         reference: reference acceleration of each row.
         contact: the contact about the origin.
         candidate: index of the candidate in its set.
+        first_axes: the axes b_k in the axes of the first link, if the axes of the two links differ.
+        bristle: displacement of each friction row, if they have bristles.
+        latch: the latched normal force, or None.
     """
 
     pair: Any
@@ -48,20 +53,23 @@ class Row(NamedTuple):
     reference: list[Lane]
     contact: Contact
     candidate: Any
+    first_axes: Sequence[Motion] = ()
+    bristle: Sequence[Lane] = ()
+    latch: Lane | None = None
 
     def along(self, y: Motion) -> list[Lane]:
-        """Compute b_k . y for each row."""
+        """Compute the velocity along each row of the contact, b_k . y, for a relative twist y."""
         return [axis.dot(y) for axis in self.axes]
 
     def wrench(self, f: Sequence[Lane]) -> Force:
-        """Compute the wrench sum of b_k f_k."""
-        components = zip(*map(list, self.axes), strict=True)
-        return Force.from_lanes(
-            [total(mul(x, y) for x, y in zip(row, f, strict=True)) for row in components]
-        )
+        """Compute the wrench of the forces f along the rows, the sum of b_k f_k."""
+        return wrench_along(self.axes, f)
 
     def stiffness(self, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
-        """Compute the sum of b_k H_kl b_l^T, from the lower triangle of H."""
+        """Compute the 6 by 6 stiffness of the contact, the sum of b_k H_kl b_l^T over its rows.
+
+        H: lower triangle of the Hessian in the rows.
+        """
         out, n = ArticulatedInertia.zero(), len(self.axes)
         for k, axis in enumerate(self.axes):
             row = [H[max(k, j)][min(k, j)] for j in range(n)]
@@ -69,20 +77,12 @@ class Row(NamedTuple):
         return out
 
 
-class Options(NamedTuple):
-    """Options that all contacts of a problem share.
-
-    Fields:
-        elliptic: whether friction cones are elliptic or pyramids.
-        impratio: impedance of friction over the impedance of the normal row.
-        dt: step in s, from which the least time constant of a contact follows.
-        refsafe: whether time constants are at least two steps.
-    """
-
-    elliptic: bool
-    impratio: Lane
-    dt: Any
-    refsafe: bool
+def wrench_along(axes: Sequence[Motion], f: Sequence[Lane]) -> Force:
+    """Compute the wrench sum of b_k f_k of forces f_k along axes b_k."""
+    components = zip(*map(list, axes), strict=True)
+    return Force.from_lanes(
+        [total(mul(x, y) for x, y in zip(row, f, strict=True)) for row in components]
+    )
 
 
 class World(NamedTuple):
@@ -91,15 +91,18 @@ class World(NamedTuple):
     Fields:
         geoms: (n, 15) rotation, position and size of each geom.
         twists: (n, 6) twist of each link; the last one is the world.
-        poses: (n, 12) rotation and position of each link, if rows are in the axes of the link that
-            touches the world.
+        poses: (n, 12) rotation and position of each link, if rows are in the axes of their links.
         heights: of the height fields, as `Geoms.heights`.
+        responses: (2, n, 21) sum of S_j S_j^T / m_j over the dofs between each pair of links, with
+            the diagonal m of the mass matrix, and with the one that the solver uses, if they
+            differ.
     """
 
     geoms: jax.Array
     twists: jax.Array
     poses: jax.Array | None = None
     heights: tuple[jax.Array, ...] = ()
+    responses: jax.Array | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ class ContactSet:
         parameters: `PairParameters` of all pairs.
         weights: (n,) sum of the translational inverse weights of both bodies.
         dtype: of all arrays.
+        coupled: whether both links move and rows are in the axes of their links.
     """
 
     dim: int
@@ -125,6 +129,7 @@ class ContactSet:
     weights: Any
     options: Options
     dtype: Any
+    coupled: bool
 
     @property
     def tables(self) -> tuple[Any, Any, Any]:
@@ -147,38 +152,38 @@ class ContactSet:
         mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
         return Cone(self.options.elliptic, row.D, tuple(mu), self.options.impratio)
 
-    def relative(self, row: Row, twists: jax.Array) -> Motion:
-        """Compute the twist of the second link of a contact relative to the first one."""
-        one, other = (twists[entry(self.links[:, k], row.pair)] for k in (0, 1))
-        return Motion.from_lanes([other[k] - one[k] for k in range(6)])
+    def rates(self, row: Row, twists: jax.Array) -> list[Lane]:
+        """Compute the velocity along each row of a contact, J v, from the link twists at v."""
+        one, other = (unpack(twists[k]) for k in self._ends(row))
+        if not self.coupled:
+            return row.along(Motion.from_lanes([y - x for x, y in zip(one, other, strict=True)]))
+        first, second = Motion.from_lanes(one), Motion.from_lanes(other)
+        both = zip(row.first_axes, row.axes, strict=True)
+        return [b.dot(second) - a.dot(first) for a, b in both]
 
-    def residual(self, row: Any, twists: jax.Array) -> list[Lane]:
-        """Compute J x - a_ref of a contact from the link twists at x."""
-        y = row.along(self.relative(row, twists))
-        return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
+    def residual(self, row: Row, twists: jax.Array) -> list[Lane]:
+        """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
+        both = zip(self.rates(row, twists), row.reference, strict=True)
+        return [sub(a, b) for a, b in both]
 
-    def add_wrench(self, row: Row, wrenches: jax.Array, wrench: Force) -> jax.Array:
-        """Add a wrench on the second link of a contact and its opposite on the first link."""
-        lanes = jnp.stack(list(wrench))
-        one, other = (entry(self.links[:, k], row.pair) for k in (0, 1))
-        return wrenches.at[one].add(-lanes).at[other].add(lanes)
+    def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
+        """Add the forces f along the rows of a contact to the wrenches on its two links."""
+        one, other = self._ends(row)
+        second = jnp.stack(list(row.wrench(f)))
+        first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
+        return wrenches.at[one].add(-first).at[other].add(second)
+
+    def _ends(self, row: Row) -> list[Any]:
+        """Return the indices of the two links of a contact."""
+        return [entry(self.links[:, k], row.pair) for k in (0, 1)]
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
-        """Add K to the sum (n, 21) of the pair of links of a contact."""
+        """Add the stiffness K of a contact to the sum (n, 21) of its pair of links."""
         lanes = jnp.stack([*K.J, *K.H, *K.M])
         return sums.at[entry(self.link_pairs, row.pair)].add(lanes)
 
-    def scan(self, world: World, step: Callable[[Any, Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(carry, row, active) over all candidates, in loops over the pairs."""
-
-        def with_row(carry: Any, *at: Any) -> Any:
-            active = at[-1]
-            return step(carry, self.row_of(world, *at), active)
-
-        return self._scan(world, with_row, carry)
-
     def _scan(self, world: World, step: Callable, carry: Any) -> Any:
-        """Run carry = step(carry, contact, pair, candidate, active) over all candidates."""
+        """Run carry = step(carry, contact, pair, candidate, active) over all candidate contacts."""
         start = 0
         for kind, pairs in self.kinds.items():
             count = COUNTS[kind.kinds]
@@ -211,7 +216,7 @@ class ContactSet:
         def store(found: Found, contact: Contact, pair: Any, candidate: Any, active: Any) -> Found:
             # a branch, because stores at places that differ between the lanes of a warp are slow
             k, more = found.length, contact.exists if gap else active
-            lanes = contact_lanes(contact)
+            lanes = contact.lanes
 
             def stored() -> Found:
                 return Found(
@@ -229,7 +234,7 @@ class ContactSet:
         return self._scan(world, store, Found(jnp.int32(0), none, index, index))
 
     def row_of_found(self, world: World, found: Found, k: Any) -> Row:
-        """Compute the rows of a contact that `found` has stored."""
+        """Compute the rows of contact k of `found`, which the narrow phase has stored."""
         contact, pair = found.contact(k), found.pairs[k]
         active = contact.distance < self._lane(self.parameters.margin, pair)
         return self.row_of(world, contact, pair, found.candidates[k], active)
@@ -237,26 +242,26 @@ class ContactSet:
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Row:
         """Compute the rows of a contact. If it is not active, D is 0."""
         margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
-        row = Row(pair, axes, 0.0, [], contact, candidate)
-        v = row.along(self.relative(row, world.twists))
+        row = Row(pair, axes[-1], 0.0, [], contact, candidate, axes[0] if self.coupled else ())
+        v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
+        if world.responses is not None:
+            mu = () if self.options.elliptic else self.cone(row).mu
+            D = D * stretch(row.axes, mu, world.responses[:, entry(self.link_pairs, pair)])
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
 
-    def axes(self, world: World, contact: Contact, pair: Any) -> list[Motion]:
-        """Compute the axes b_k of the rows of a contact."""
+    def axes(self, world: World, contact: Contact, pair: Any) -> list[list[Motion]]:
+        """Compute the axes b_k of the rows of a contact: in the axes of both links if the set is
+        coupled, else once."""
         e, p = contact_frame(contact.normal, contact.tangent), contact.position
         every = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        return self._in_link(world, every[: self.dim], pair)
-
-    def _in_link(self, world: World, axes: list[Motion], pair: Any) -> list[Motion]:
-        """Transform axes to the link that touches the world, if all contacts are with the world."""
+        axes = every[: self.dim]
         if world.poses is None:
-            return axes
-        moving = entry(self.links.min(1), pair)  # the world is the last one
-        x = unpack(world.poses[moving])
-        E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
-        return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
+            return [axes]
+        # if one of the links is the world, it is the last one
+        links = (self.links[:, 0], self.links[:, 1]) if self.coupled else (self.links.min(1),)
+        return [_in_link(world.poses[entry(k, pair)], axes) for k in links]
 
     def _reference(self, row: Row, r: Lane, v: list[Lane]) -> tuple[Lane, list[Lane]]:
         """Compute the inverse regularization and the reference accelerations of a contact.
@@ -266,6 +271,11 @@ class ContactSet:
         given, options, pair = self.parameters, self.options, row.pair
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
         d, weight, mu = impedance(r, solimp), self._lane(self.weights, pair), self.cone(row).mu
+        if options.discrete:
+            own = self._lanes(given.solreffriction, pair)
+            slides = tangential_solref(solref, own) if options.elliptic else None
+            terms = d, weight, solref, slides, solimp, mu
+            return contact_at_the_end(r, v, *terms, options.impratio, options.dt, options.refsafe)
 
         def towards(r: Lane, v: Lane, solref: Sequence[Lane]) -> Lane:
             return reference(r, v, d, solref, solimp, options.dt, refsafe=options.refsafe)
@@ -310,23 +320,17 @@ class Found(NamedTuple):
     candidates: jax.Array
 
     def contact(self, k: Any) -> Contact:
-        """Return the contact of a slot."""
+        """Return contact k."""
         x = unpack(self.contacts[k])
         return Contact(x[0], Vec3(*x[1:4]), Vec3(*x[4:7]), True, Vec3(*x[7:]))
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the slots in use."""
+        """Run carry = step(k, carry) over the indices k of all stored contacts."""
         return jax.lax.fori_loop(0, self.length, step, carry)
 
 
-def contact_lanes(contact: Contact) -> list[Lane]:
-    """Return the lanes of a contact in `Found.contacts`."""
-    tangent = Vec3.zero() if contact.tangent is None else contact.tangent
-    return [contact.distance, *contact.position, *contact.normal, *tangent]
-
-
 def place_of(contact: Contact) -> list[Lane]:
-    """Return distance, position about the origin, and axes of a contact, 13 lanes."""
+    """Return distance, position and axes of a contact, 13 lanes."""
     axes = contact_frame(contact.normal, contact.tangent)
     return [contact.distance, *contact.position, *(x for axis in axes for x in axis)]
 
@@ -336,7 +340,8 @@ class Slots(NamedTuple):
 
     Fields:
         found: the contacts.
-        rows: (n, 7 dim + 1) axes, D and reference accelerations of each slot.
+        rows: (n, 7 dim + 1) D, reference accelerations and axes of each slot. Coupled sets have the
+            axes of both links (n, 13 dim + 1).
     """
 
     found: Found
@@ -352,23 +357,31 @@ class Slots(NamedTuple):
 
         def compute(k: Any, rows: jax.Array) -> jax.Array:
             row = contacts.row_of_found(world, found, k)
-            lanes = [x for axis in row.axes for x in axis]
-            return rows.at[k].set(pack([*lanes, row.D, *row.reference], rows[0]))
+            lanes = [x for axis in [*row.axes, *row.first_axes] for x in axis]
+            return rows.at[k].set(pack([row.D, *row.reference, *lanes], rows[0]))
 
-        shape = contacts.candidates, 7 * contacts.dim + 1
+        shape = contacts.candidates, (13 if contacts.coupled else 7) * contacts.dim + 1
         none = jax.lax.empty(shape, world.geoms.dtype)
         return cls(found, found.fold(compute, none))
 
     def row(self, k: Any, dim: int) -> Row:
-        """Return the row of a slot."""
-        x, found = unpack(self.rows[k]), self.found
-        axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
+        """Return the rows of active contact k. dim: number of rows."""
+        (D, *x), found = unpack(self.rows[k]), self.found
+        starts = range(dim, len(x), 6)
+        axes = [Motion.from_lanes(x[i : i + 6]) for i in starts]
         at = found.contact(k), found.candidates[k]
-        return Row(found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], *at)
+        return Row(found.pairs[k], axes[:dim], D, x[:dim], *at, axes[dim:])
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the slots in use."""
+        """Run carry = step(k, carry) over the indices k of all active contacts."""
         return self.found.fold(step, carry)
+
+
+def _in_link(pose: jax.Array, axes: Sequence[Motion]) -> list[Motion]:
+    """Transform axes about the origin to the axes of a link."""
+    x = unpack(pose)
+    E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
+    return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
 
 
 def shape_of(row: jax.Array) -> Shape:

@@ -39,7 +39,8 @@ LINEAR = 24
 
 
 class _Found(NamedTuple):
-    """The solution, the latched forces of each set, their relative change, and the rounds."""
+    """The result of the iteration on the normal forces: the solution, the normal forces that bound
+    the friction in each set, their relative change in the last round, and the number of rounds."""
 
     solution: Solution
     latches: list[jax.Array]
@@ -57,8 +58,9 @@ class CoulombContact:
     the ellipsoid sum (f_k / mu_k)^2 <= f_n^2. Friction loss, limits and the parameters of the
     normal direction are those of the file.
 
-    The memory contains the normal force and the bristle of each candidate, and at its end the
-    relative change of the normal forces in the last iteration.
+    The memory contains the normal force and the bristle of each candidate, and at its end the error
+    of the step: the relative change of the normal forces in the last iteration, or the error of
+    its solution if it is larger.
 
     Args:
         share: share of the displacement of a sticking contact that a step removes, 0 to 1.
@@ -94,9 +96,17 @@ class CoulombContact:
         SoftContact().check(where, model, "coulomb")
 
     def initial_memory(self, model: Model) -> jax.Array:
-        """Return bristles at rest."""
+        """Return the memory of bristles at rest, all zeros."""
         size = sum(n * memory_width(dim) for dim, n in _candidates(model).items())
         return jnp.zeros(size + 1, model.gravity.dtype)
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return LATCHED[jnp.dtype(dtype).itemsize]
+
+    def solver_error(self, memory: jax.Array) -> jax.Array:
+        """Return the error of the step that returned a memory (m,)."""
+        return memory[..., -1]
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
@@ -129,9 +139,9 @@ class CoulombContact:
             *at, a, used = at_and_a
             assembly, problem = problem_at(*at)
             _, f_ext, *_ = rebuilt(at[0])
-            tau, d = at[3], assembly.d
+            tau = at[3]
             pushes = pack(problem.constraint_forces(a, used), tau)
-            return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
+            return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
         def remembered(*at_and_after: Any) -> jax.Array:
             *at, a, memory, used = at_and_after
@@ -143,7 +153,10 @@ class CoulombContact:
         return state.v + dt * a, memory
 
     def _with_bristles(self, problem: Problem, memory: jax.Array, dt: Any) -> Problem:
-        """Return the problem with latched friction."""
+        """Return the problem with sets of contacts whose friction has bristles.
+
+        memory: bristles of the last step. dt: step, s.
+        """
         dtype, sets, start = problem.dtype, list[Any](), 0
         for contacts in problem.sets:
             n, width = contacts.candidates, memory_width(contacts.dim)
@@ -158,7 +171,7 @@ class CoulombContact:
 
 
 def _candidates(model: Model) -> dict[int, int]:
-    """Count the candidates of the contacts of each dimension."""
+    """Count the candidate contacts of a model by their number of rows (condim)."""
     geoms, out = model.geoms, dict[int, int]()
     if geoms is None or not geoms.pairs:
         return out
@@ -169,7 +182,7 @@ def _candidates(model: Model) -> dict[int, int]:
 
 
 def _detected(problem: Problem) -> Problem:
-    """Return the problem with its active contacts."""
+    """Return the problem with the active contacts that the narrow phase finds."""
     world, slots = problem.touching, list[Any]()
     for contacts in problem.sets:
         if isinstance(contacts, DiscSet):
@@ -180,7 +193,10 @@ def _detected(problem: Problem) -> Problem:
 
 
 def _discs(problem: Problem, *others: Any) -> list[tuple]:
-    """Return the sets with friction, their slots and further values of each set."""
+    """Return (set, active contacts, further values) of each set with friction.
+
+    others: lists with one value per set.
+    """
     every = zip(problem.sets, problem.slots, *others, strict=True)
     return [x for x in every if isinstance(x[0], DiscSet)]
 
@@ -190,7 +206,7 @@ def _residual(r: jax.Array, k: Any) -> list[Any]:
 
 
 def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
-    """Return the problem with other latched forces."""
+    """Return the problem with the normal forces `latches` as bounds of the friction of its sets."""
     given, old = iter(latches), list[Any](problem.slots)
     slots = [
         s._replace(latches=next(given)) if isinstance(x, DiscSet) else s
@@ -200,7 +216,8 @@ def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
 
 
 def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
-    """Iterate the latched forces until they are the normal forces of the solution."""
+    """Iterate the normal forces that bound friction, until they are the normal forces of the
+    solution."""
     dtype = problem.dtype
     tiny, bound = jnp.finfo(dtype).tiny, LATCHED[jnp.dtype(dtype).itemsize]
 
@@ -249,10 +266,10 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
                 row = slots.row(k, of.dim)
                 cone = of.cone(row)
                 sticks, _, t = cone.slip(_residual(r, k))
-                rate = row.along(of.relative(row, moving))[0]
+                rate = of.rates(row, moving)[0]
                 change = jnp.where(sticks | (r[k, 0] >= 0), 0.0, -row.D * rate)
                 f = [0.0, *(-change * m * u for m, u in zip(cone.mu, t, strict=True))]
-                return of.add_wrench(row, out, row.wrench(f))
+                return of.add_forces(row, out, f)
 
             wrenches = slots.scan(push, wrenches)
         return pack(tree.generalized(wrenches), y)
@@ -267,7 +284,7 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
 
 
 def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
-    """Compute the memory after a step from the active contacts."""
+    """Compute the memory (bristles and normal forces) after a step from the active contacts."""
     parts = list[Any]()
     for contacts, slots, r in _discs(problem, found.solution.residuals):
 
@@ -276,7 +293,8 @@ def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
             return out.at[row.candidate].set(of.next_memory(row, _residual(r, k), True))
 
         parts.append(slots.fold(store, jnp.zeros_like(contacts.memory)).reshape(-1))
-    return jnp.concatenate([*parts, found.error[None]])
+    error = jnp.maximum(found.error, found.solution.error)
+    return jnp.concatenate([*parts, error[None]])
 
 
 def _memory_in_use(

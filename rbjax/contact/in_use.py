@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler.jax.turns import Rows, Turns
-from rbjax.contact.contact_rows import ContactSet, Found, World, contact_lanes, entry, shape_of
+from rbjax.contact.contact_rows import ContactSet, Found, World, entry, shape_of
 from rbjax.contact.geometry.candidates import pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.lanes import Lane, pack
@@ -59,10 +59,13 @@ def wrenches_in_use(
     groups = [by_pair, by_candidate, shared]
     split = [_Split.of(x) for x in groups]
     ends = [np.ascontiguousarray(contacts.links[:, k]) for k in (0, 1)]
-    moving = contacts.links.min(1)  # the world is the last one
+    moving = contacts.links.min(1)  # if one of the links is the world, it is the last one
+    responses = world.responses
     given = [places, world.twists, twists]
     if world.poses is not None:
         given.append(world.poses)
+    if responses is not None:  # one row a pair of links
+        given.append(responses.swapaxes(0, 1).reshape(responses.shape[1], -1))
     counts = [len(x.arrays) for x in split]
 
     def loop(visit: Callable, carry: Any, counters: Sequence[Any]) -> Any:
@@ -77,7 +80,9 @@ def wrenches_in_use(
         pair, candidate = at
         own: list[Rows] = [[(candidate, 1)], both(pair), both(pair)]
         if world.poses is not None:
-            own.append([(entry(moving, pair), 1)])
+            own.append(both(pair) if contacts.coupled else [(entry(moving, pair), 1)])
+        if responses is not None:
+            own.append([(entry(contacts.link_pairs, pair), 1)])
         where: list[Rows] = [[(pair, 1)], [(candidate, 1)], None]
         return [*own, *(x for x, n in zip(where, counts, strict=True) for _ in range(n))]
 
@@ -89,20 +94,22 @@ def wrenches_in_use(
         rest = iter(rows)
         place, at_v, at_a = (next(rest) for _ in range(3))
         pose = None if world.poses is None else next(rest)
+        response = None if responses is None else next(rest).reshape(2, 1, -1)
         own = [
             x.filled([next(rest) for _ in x.arrays], index)
             for x, index in zip(split, (at[0], at[1], None), strict=True)
         ]
-        one = replace(
-            contacts.with_tables(*own), geoms=np.zeros((1, 2), int), links=np.array([[0, 1]])
-        )
         zero = np.zeros(1, int)
-        row = one.row_of_found(World(place, at_v, pose), Found(1, place, zero, zero), 0)
+        one = replace(
+            contacts.with_tables(*own), geoms=np.zeros((1, 2), int), links=np.array([[0, 1]]),
+            link_pairs=zero,
+        )  # fmt: skip
+        own_world = World(place, at_v, pose, responses=response)
+        row = one.row_of_found(own_world, Found(1, place, zero, zero), 0)
         r = one.residual(row, at_a)
         f = one.cone(row).response(r).f
-        wrench = jnp.stack(list(row.wrench(f)))
-        out = [jnp.stack([-wrench, wrench])]
-        return out if numbers is None else [*out, numbers(one, row, f, r)[None]]
+        wrenches = one.add_forces(row, jnp.zeros_like(at_a), f)
+        return [wrenches] if numbers is None else [wrenches, numbers(one, row, f, r)[None]]
 
     results = [(len(twists), 6), (contacts.candidates, width)][: 1 if numbers is None else 2]
     operands = [*given, *(x for s in split for x in s.arrays)]
@@ -166,7 +173,7 @@ def _places(contacts: ContactSet, world: World, used: InUse) -> jax.Array:
         one, other = (shape_of(x) for x in geoms)
         surfaces = heights.filled(rest[n:], None)
         found = pair_contacts(kinds[kind], one, other, bound, surfaces)
-        return [jnp.stack([pack(contact_lanes(x), geoms[0]) for x in found])]
+        return [jnp.stack([pack(x.lanes, geoms[0]) for x in found])]
 
     operands = [world.geoms, *reach.arrays, *heights.arrays]
     return Turns(loop, reads, writes, term)(operands, used, [(contacts.candidates, 10)])[0]

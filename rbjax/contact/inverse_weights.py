@@ -93,7 +93,7 @@ def _joints(d: Driver, model: Model, dtype: Any) -> Any:
 
 
 def _motion(dof: Any, link: Any, at: list[Lane]) -> JointMotion:
-    """Return the motion of one dof at rest in its reference configuration."""
+    """Return the motion of one joint dof in the reference configuration, at zero velocity."""
     rest = [0.0] * len(dof.v)
     if dof.spec.from_reference and dof.kind is HINGE:
         return hinge_motion(1.0, 0.0, 0.0)
@@ -107,7 +107,7 @@ def _motion(dof: Any, link: Any, at: list[Lane]) -> JointMotion:
 
 
 def _responses(d: Driver, joints: Any) -> Any:
-    """Return J M^-1 J^T and the diagonal entry of M^-1 of each link.
+    """Return, for each link, its response J M^-1 J^T to wrenches, and the diagonal entry of M^-1.
 
     The response is an `ArticulatedInertia` whose J is the block of translations.
     """
@@ -129,12 +129,12 @@ def _responses(d: Driver, joints: Any) -> Any:
 
 
 def _moving(model: Model) -> list[int]:
-    """Return the bodies that are not welded to the world."""
+    """Return the indices of the bodies that are not welded to the world."""
     return [b for b, link in enumerate(model.topology.body_links) if link != WORLD]
 
 
 def _of_bodies(d: Driver, model: Model, response: Any, dtype: Any) -> Any:
-    """Compute the weights of all bodies that move, in the whole form."""
+    """Compute the inverse weights (translation, rotation) of all bodies that move."""
     moving, com = _moving(model), table(model.bodies.com, dtype)
     links = [model.topology.body_links[b] for b in moving]
     if d.listed:
@@ -148,13 +148,14 @@ def _of_bodies(d: Driver, model: Model, response: Any, dtype: Any) -> Any:
 
 
 def _weights(response: ArticulatedInertia, weld: Transform, centre: Vec3) -> tuple[Lane, Lane]:
-    """Return the mean responses of the centre of mass of a body to forces and to moments."""
+    """Return the inverse weights of a body: the mean translational response of its centre of mass
+    to forces, and the mean rotational response to moments."""
     J = response.shifted(-(weld.p + weld.R @ centre)).J
     return mul(1 / 3, total(list(J)[:3])), mul(1 / 3, total(list(response.M)[:3]))
 
 
 def _with_slides(model: Model, body: Any, dof: Any) -> tuple[Any, Any]:
-    """Replace the weights of bodies that only slide along their axes, and of their dofs."""
+    """Replace the inverse weights of bodies that only translate along slides, and of their dofs."""
     slides = () if model.solver is None else model.solver.translating
     if not slides:
         return body, dof
@@ -168,7 +169,8 @@ def _with_slides(model: Model, body: Any, dof: Any) -> tuple[Any, Any]:
 
 
 def _averaged(model: Model, diagonal: Any) -> Any:
-    """Replace the entries of three translations or rotations of a joint by their mean."""
+    """Replace the entries of the three translations, or the three rotations, of a joint by their
+    mean."""
     top, rows = model.topology, np.arange(model.nv).repeat(3).reshape(-1, 3)
     for joint, start in zip(top.joints, top.joint_v, strict=True):
         for first in range(start, start + joint.nv, 3) if joint.quaternion else ():

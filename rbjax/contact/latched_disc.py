@@ -31,14 +31,14 @@ from rbjax.contact.contact_rows import ContactSet, Found, Row, World
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.spatial import Motion
 
 #: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
 NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
 
 
 def memory_width(dim: int) -> int:
-    """Return the number of entries of the memory of a candidate with some rows."""
+    """Return the number of memory entries of a candidate contact with `dim` rows."""
     return {1: 0, 3: 4}.get(dim, 7)
 
 
@@ -57,11 +57,11 @@ class Disc(NamedTuple):
     latch: Lane | None
 
     def normal(self, r: Lane) -> Lane:
-        """Compute the normal force at the residual of the normal row."""
+        """Compute the normal force at the residual r of the normal row."""
         return jnp.where(r < 0, -self.D * r, 0.0)
 
     def slip(self, r: Sequence[Lane]) -> tuple[Any, Lane, list[Lane]]:
-        """Return whether the contact sticks, F / T, and the unit vector t = U / T."""
+        """Return whether the contact sticks, F / T, and the unit direction t = U / T of slip."""
         F = self.normal(r[0]) if self.latch is None else self.latch
         U = [mul(m, x) for m, x in zip(self.mu, r[1:], strict=True)]
         square = total(mul(u, u) for u in U)
@@ -75,7 +75,8 @@ class Disc(NamedTuple):
         return self.D_t / (self.mu[0] * self.mu[0])
 
     def response(self, r: Sequence[Lane]) -> Response:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at the residual r = J x - a_ref of each
+        row."""
         active = jnp.where(r[0] < 0, self.D, 0.0)
         sticks, ratio, t = self.slip(r)
         scale, along = jnp.where(sticks, self._c, ratio), jnp.where(sticks, 0.0, ratio)
@@ -89,39 +90,6 @@ class Disc(NamedTuple):
                 row.append(entry * m * self.mu[j])
             H.append(row)
         return Response(f, H)
-
-
-class DiscRow(NamedTuple):
-    """The rows of one contact, with its bristle.
-
-    Fields:
-        pair, axes, D, reference: as in `Row`.
-        candidate: index of the candidate.
-        bristle: s of the friction rows.
-        frame: axes of the contact in the world, row by row.
-        latch: the latched normal force, or None.
-    """
-
-    pair: Any
-    axes: list[Motion]
-    D: Lane
-    reference: list[Lane]
-    candidate: Any
-    bristle: list[Lane]
-    frame: list[Vec3]
-    latch: Lane | None = None
-
-    def along(self: Any, y: Motion) -> list[Lane]:
-        """Compute b_k . y for each row."""
-        return Row.along(self, y)
-
-    def wrench(self: Any, f: Sequence[Lane]) -> Force:
-        """Compute the wrench sum of b_k f_k."""
-        return Row.wrench(self, f)
-
-    def stiffness(self: Any, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
-        """Compute the sum of b_k H_kl b_l^T, from the lower triangle of H."""
-        return Row.stiffness(self, H)
 
 
 class DiscSlots(NamedTuple):
@@ -139,28 +107,27 @@ class DiscSlots(NamedTuple):
     bristles: jax.Array
     latches: jax.Array
 
-    def row(self, k: Any, dim: int) -> DiscRow:
-        """Return the row of a slot."""
+    def row(self, k: Any, dim: int) -> Row:
+        """Return the rows of active contact k. dim: number of rows."""
         x, found, contact = unpack(self.rows[k]), self.found, self.found.contact(k)
         axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
-        frame = list(contact_frame(contact.normal, contact.tangent))
-        return DiscRow(
-            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], found.candidates[k],
-            unpack(self.bristles[k]), frame, self.latches[k],
+        return Row(
+            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], contact, found.candidates[k],
+            unpack(self.bristles[k]), self.latches[k],
         )  # fmt: skip
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over the active slots."""
+        """Run carry = step(k, carry) over the indices k of all active contacts."""
         return self.found.fold(step, carry)
 
     def used(self, values: jax.Array) -> jax.Array:
-        """Return values (n, ...) of slots with zeros for slots without a contact."""
+        """Return values (n, ...) with zeros in entries beyond the number of active contacts."""
         here = jnp.arange(len(values)) < self.found.length
         return jnp.where(here.reshape(-1, *(1,) * (values.ndim - 1)), values, 0.0)
 
     def scan(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(k, carry) over all slots, in a loop that can be transposed. Slots
-        without a contact have no forces."""
+        """Run carry = step(k, carry) over all n entries, by a loop with reverse-mode derivatives.
+        Entries without a contact have no forces."""
         every = jnp.arange(self.rows.shape[0])
         return jax.lax.scan(lambda x, k: (step(k, x), None), carry, every)[0]
 
@@ -183,7 +150,10 @@ class DiscSet(ContactSet):
 
     @classmethod
     def of(cls, given: ContactSet, memory: Any, step: Any, share: Any, stiffness: Any) -> DiscSet:
-        """Add bristles to a set of contacts."""
+        """Return a set of contacts with bristles, from a set without.
+
+        memory, step, share, stiffness: fields of `DiscSet`.
+        """
         kept = {f.name: getattr(given, f.name) for f in fields(ContactSet)}
         return cls(**kept, memory=memory, step=step, share=share, stiffness=stiffness)
 
@@ -200,22 +170,22 @@ class DiscSet(ContactSet):
         return DiscSet.of(given, by_candidate, step, share, stiffness)
 
     def cone(self, row: Any) -> Any:
-        """Return the friction of a contact."""
+        """Return the friction model of a contact."""
         mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
         d, weight = self.stiffness, self._lane(self.weights, row.pair)
         return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch)
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
         """Compute the rows of a contact. If it is not active, D is 0."""
-        margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
+        margin, (axes,) = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
         e = contact_frame(contact.normal, contact.tangent)
         memory = self.memory[candidate]
         s = [x.dot(Vec3(*(memory[i] for i in range(1, 4)))) for x in e[1:]]
         if self.dim > 3:
             turn = Vec3(*(memory[i] for i in range(4, 7)))
             s += [x.dot(turn) for x in e][: self.dim - 3]
-        row = DiscRow(pair, axes, 0.0, [], candidate, s, list(e))
-        v = row.along(self.relative(row, world.twists))  # type: ignore[arg-type]
+        row = Row(pair, axes, 0.0, [], contact, candidate, bristle=s)
+        v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         given = self.parameters
         solref, solimp = self._lanes(given.solref, pair), self._lanes(given.solimp, pair)
@@ -257,7 +227,7 @@ class DiscSet(ContactSet):
             jnp.where(kept, (1.0 - self.share) * x + h * h * y, 0.0)
             for x, y in zip(row.bristle, r[1:], strict=True)
         ]
-        e = row.frame
+        e = contact_frame(row.contact.normal, row.contact.tangent)
         parts = [jnp.where(active, cone.normal(r[0]), 0.0), *(e[1] * s[0] + e[2] * s[1])]
         if self.dim > 3:
             turn = e[0] * s[2]

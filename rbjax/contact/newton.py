@@ -8,7 +8,7 @@ iteration ends if the gradient g is small relative to the forces:
 
     sum w_i g_i^2 <= tolerance^2 sum (w_i rhs_i^2 + x_i^2 / w_i),   w_i = (M^-1)_ii
 
-M x is never computed. With H p = -g, a step changes it by M p = -g - J^T s'' J p. The wrenches of
+M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
 the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
 gives the twists of the links at p too, so a step is one inward and one outward sweep.
 
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.contact.conjugate_gradients import products, solve_direction
 from rbjax.contact.problem import Problem, add_row
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, total, unpack
 
@@ -43,7 +44,7 @@ class Solution(NamedTuple):
         x: (nv,) acceleration.
         iterations: the number of Newton steps.
         error: relative gradient at x; the iteration has converged if it is at most the tolerance.
-        residuals: (n, dim) J x - a_ref of the slots of each set.
+        residuals: (n, dim) J x - a_ref of the active contacts of each set.
     """
 
     x: jax.Array
@@ -73,7 +74,7 @@ class _Iterate(NamedTuple):
 
 
 class _Values(NamedTuple):
-    """Gradient (nv,), stiffness of each pair of links (n, 21), and error at an iterate."""
+    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, and error."""
 
     gradient: jax.Array
     stiffness: jax.Array
@@ -113,7 +114,7 @@ def factorize_at(problem: Problem, solution: Solution) -> Any:
 
 
 def _start(problem: Problem) -> _Iterate:
-    """Return the iterate x = 0, whose residuals are -a_ref."""
+    """Return the first iterate, x = 0. The residuals of its contacts are -a_ref."""
     zero, dtype = jnp.zeros(len(problem.rhs), problem.dtype), problem.dtype
     residuals = []
     for contacts, slots in zip(problem.sets, problem.slots, strict=True):
@@ -128,7 +129,7 @@ def _start(problem: Problem) -> _Iterate:
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
-    """Return an array (n, dim) for the slots in use."""
+    """Return an uninitialised array (n, dim), whose rows of active contacts are written later."""
     return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
@@ -149,7 +150,9 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
             wrenches, stiffness = carry
             row = slots.row(k, of.dim)
             found = of.cone(row).response([r[k, i] for i in range(of.dim)])
-            wrenches = of.add_wrench(row, wrenches, row.wrench(found.f))
+            wrenches = of.add_forces(row, wrenches, found.f)
+            if of.coupled:
+                return wrenches, stiffness
             return wrenches, of.add_stiffness(row, stiffness, row.stiffness(found.H))
 
         wrenches, stiffness = slots.fold(push, (wrenches, stiffness))
@@ -165,15 +168,16 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
 
 
 def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
-    """Compute the sum of w_i x_i^2."""
+    """Compute the weighted square sum of w_i x_i^2."""
     return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))
 
 
 def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
-    tree, g, dtype = problem.tree, unpack(values.gradient), problem.dtype
-    p, twists = tree.step(_factors(problem, at, values), -values.gradient, dtype)
+    dtype = problem.dtype
+    factors = _factors(problem, at, values)
+    p, product, twists = solve_direction(problem, factors, -values.gradient, at.residuals)
     # the change of u, its product with p, and the wrenches of J^T s'' J p
-    change, x, s = [neg(y) for y in g], unpack(at.x), unpack(p)
+    change, x, s = unpack(product), unpack(at.x), unpack(p)
     for row in problem.rows:
         _, h = row.response(sub(row.along(x), row.reference))
         change = add_row(change, row, neg(mul(h, row.along(s))))
@@ -183,9 +187,9 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
         def along(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
             rates, wrenches, curvature = carry
             row = slots.row(k, of.dim)
-            s = row.along(of.relative(row, twists))
+            s = of.rates(row, twists)
             f = products(of.cone(row).response([r[k, i] for i in range(of.dim)]).H, s)
-            wrenches = of.add_wrench(row, wrenches, row.wrench(f))
+            wrenches = of.add_forces(row, wrenches, f)
             return rates.at[k].set(jnp.stack(s)), wrenches, sub(curvature, inner(f, s))
 
         carry = _unset(slots, contacts.dim), wrenches, jnp.asarray(curvature, dtype)
@@ -202,12 +206,6 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
         residuals.append(slots.fold(moved, r))
     u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
     return _Iterate(at.x + alpha * p, u, w, residuals, at.error, at.iterations)
-
-
-def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
-    """Compute H s of a symmetric matrix, from the rows of its lower triangle."""
-    n = range(len(s))
-    return [total(mul(H[max(i, j)][min(i, j)], s[j]) for j in n) for i in n]
 
 
 def _line_search(

@@ -144,7 +144,8 @@ def _mixed(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> PairParameters:
 
 
 def _weights(xp: ModuleType, a: Array, b: Array) -> Array:
-    """Compute the weight of the first geom of each pair from both solmix."""
+    """Compute the weight of the first geom of each pair from solmix a of the first and b of the
+    second."""
     small, none = a < LEAST, b < LEAST
     usual = ~(small | none)
     ratio = xp.where(usual, a, 1.0) / xp.where(usual, a + b, 2.0)
@@ -152,12 +153,12 @@ def _weights(xp: ModuleType, a: Array, b: Array) -> Array:
 
 
 def _mean(mix: Array, a: Array, b: Array) -> Array:
-    """Compute the mean of both values with the weight `mix` of the first."""
+    """Compute the mean of a and b, where a has the weight `mix` in [0, 1]."""
     return mix * a + (1 - mix) * b
 
 
 def _joined(mixed: Array, explicit: Array, own: Sequence[int | None]) -> Array:
-    """Return the rows of explicit pairs for the entries that have an index, else the mixed rows."""
+    """Return the rows of `explicit` for pairs with an index in `own`, else the rows of `mixed`."""
     at = [i for i, k in enumerate(own) if k is not None]
     if not at:
         return mixed
@@ -169,7 +170,7 @@ def _joined(mixed: Array, explicit: Array, own: Sequence[int | None]) -> Array:
 
 
 def _array(x: Any) -> Array:
-    """Return a tracer unchanged, and a constant as a NumPy array in double precision."""
+    """Return a tracer unchanged, and any other value as a NumPy array in double precision."""
     return x if isinstance(x, jax.core.Tracer) else np.asarray(x, np.float64)
 
 

@@ -23,19 +23,20 @@ from jax.ad_checkpoint import checkpoint_name
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.lanes import Lane, Mat3, Sym3, add, fusion_barrier, mul, pack, sub, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
 class Factors(NamedTuple):
-    """The factors of the Hessian."""
+    """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
+    contacts."""
 
     factors: LDLT
 
     def solve(self, b: jax.Array) -> jax.Array:
-        """Solve H x = b."""
+        """Solve for x (nv,) with the factored Hessian as matrix and b (nv,) as right side."""
         return pack(self.factors.solve(unpack(b)), b)
 
     def named(self) -> Factors:
@@ -83,7 +84,7 @@ class Tree(NamedTuple):
         return stacked([*lanes, [0.0] * 6], dtype)
 
     def generalized(self, wrenches: jax.Array) -> list[Lane]:
-        """Compute J^T f from the wrenches (n + 1, 6) on the links that can touch."""
+        """Compute the joint forces J^T f from wrenches (n + 1, 6) on the links that can touch."""
         sums: dict[int, Force] = {}
         for k, link in enumerate(self.touching):
             sums[link] = Force.from_lanes([wrenches[k, c] for c in range(6)])
@@ -91,7 +92,8 @@ class Tree(NamedTuple):
         return [S.dot(sums[i]) if i in sums else 0.0 for i, S in enumerate(self.S)]
 
     def _subtree_sums(self, values: dict[int, Any]) -> dict[int, Any]:
-        """Sum values of links over the subtree of each link."""
+        """Sum the values of links over the subtree of each link. Links without a value are left
+        out."""
         out = dict(values)
         for i in reversed(range(len(self.S))):
             parent = self.parents[i]
@@ -100,18 +102,20 @@ class Tree(NamedTuple):
         return out
 
     def step(self, factors: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """Solve H x = b. Return x and the twists of `twists` at x."""
+        """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`
+        does."""
         x = factors.solve(b)
         return x, self.twists(x, dtype)
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
-        """Factorize M + J^T H J, the Hessian of the problem.
+        """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) sum of b_k H_kl b_l^T of the contacts of each pair of links, a symmetric
-        6 by 6 matrix. rows: scalar rows with their Hessians.
+        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
+            (`Row.stiffness`).
+        rows: scalar rows with their Hessians.
         """
         A = [list(row) for row in self.M]
-        K = [inertia_of_row(k) for k in stiffness]
+        K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
         fixed: dict[int, Any] = {}
         for (a, b), k in zip(self.link_pairs, K, strict=True):
             if WORLD in (a, b):
@@ -134,21 +138,15 @@ class Tree(NamedTuple):
 
 
 def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> None:
-    """Add S_i^T K S_j to the lower triangle of A."""
+    """Add S_i^T K S_j to the lower triangle of A, for each pair of dofs of `order`."""
     for at, i in enumerate(order):
         F = fusion_barrier(K(S[i]))
         for j in order[: at + 1]:
             A[i][j] = add(A[i][j], S[j].dot(F))
 
 
-def inertia_of_row(row: jax.Array) -> ArticulatedInertia:
-    """Return a matrix K from its entries (21,): J, H and M."""
-    x = unpack(row)
-    return ArticulatedInertia(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
-
-
 def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
-    """Stack rows of lanes to an array."""
+    """Stack equally long rows of lanes to an array (rows, lanes)."""
     flat = [jnp.asarray(x, dtype) for row in rows for x in row]
     return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
 
@@ -210,7 +208,7 @@ class Problem:
 
 
 def add_row(out: list[Lane], row: ScalarRow, f: Lane) -> list[Lane]:
-    """Add J^T f of a scalar row."""
+    """Add the joint forces J^T f of a scalar row with the force f to `out`."""
     out = list(out)
     for i, x in row.J.items():
         out[i] = add(out[i], mul(x, f))

@@ -14,13 +14,15 @@ from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
     ContactForces,
     geoms_of_rows,
-    rows_of_candidates,
+    rows_in_use,
     rows_of_slots,
 )
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.in_use import InUse
+from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
+from rbjax.dynamics.algorithms.energy import Entries
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import (
     jax_arrays,
@@ -36,53 +38,79 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0,
+    dt: Any = None, t: Any = 0.0, added: Entries | None = None, *, values: bool = False,
 ) -> Problem:  # fmt: skip
-    """Return the contact problem of a model, with its active contacts. `dt` is the step, or None
-    for the model's timestep."""
-    problem = Assembly(model, q, v, dt, t).problem(tau, f_ext)
+    """Return the contact problem of a model, with its active contacts.
+
+    `dt` is the step, or None for the model's timestep. `added` and `values` are as in `Assembly`.
+    """
+    problem = Assembly(model, q, v, dt, t, added, values=values).problem(tau, f_ext)
     return problem.detect()
 
 
 def contact_acceleration(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0,
-) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    iterations: int = ITERATIONS, dt: Any = None, t: Any = 0.0, added: Entries | None = None,
+) -> tuple[jax.Array, ...]:  # fmt: skip
     """Compute the acceleration (nv,) with contacts, limits, friction loss and equalities. Return
-    with it the number of Newton steps, as a real number, and the error of the solution.
+    with it the number of Newton steps, as a real number, and the error of the solution; in the
+    `discrete` integrator also the number of rows that act on each link (nv,).
 
     The derivative is implicit: da = H^-1 d(tau + J^T f - M a - b), with H and f at the solution.
-    The features of geoms that touch are held constant.
+    The features of geoms that touch are held constant. `added` is as in `Assembly`.
     """
-    given, rebuilt = split_tracers((model, f_ext, dt, t))
+    given, rebuilt = split_tracers((model, f_ext, dt, t, added))
 
-    def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
-        model, f_ext, dt, t = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt, t)
+    def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
+        model, f_ext, *rest = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, *rest, values=values)
         return problem, solve(problem, iterations=iterations)
 
+    def results(problem, found):
+        counts = () if added is None else (_rows_of_links(problem, found.x),)
+        return *_with_report(found), *counts
+
     def plain(*at):
-        return batch_first(_with_report(solved_at(*at)[1]), at)
+        return batch_first(results(*solved_at(*at, values=True)), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
-        factors = factorize_at(problem, found)
         # a derivative that saves these values does not solve the problem again
-        values = tuple(checkpoint_name(x, "acceleration") for x in _with_report(found))
+        factors = factorize_at(problem, found)
+        values = tuple(checkpoint_name(x, "acceleration") for x in results(problem, found))
         return values, [factors.solve], problem.in_use
 
     def residual(changed, q, v, tau, a, used):
-        model, f_ext, dt, t = rebuilt(changed)
-        assembly = Assembly(model, q, v, dt, t)
-        problem, d = assembly.problem(tau, f_ext), assembly.d
+        model, f_ext, *rest = rebuilt(changed)
+        assembly = Assembly(model, q, v, *rest)
+        problem = assembly.problem(tau, f_ext)
         pushes = pack(problem.constraint_forces(a, used), tau)
-        return tau + pushes - d.pack(assembly.inverse_dynamics(a, f_ext), tau)
+        return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
 
 
 def _with_report(found: Solution) -> tuple[jax.Array, jax.Array, jax.Array]:
     return found.x, found.iterations.astype(found.x.dtype), found.error
+
+
+def _rows_of_links(problem: Problem, like: jax.Array) -> jax.Array:
+    """Count the contacts on each link and the active rows on each dof, (nv,)."""
+    counts: list[Any] = [0.0] * len(like)
+    for row in problem.rows:
+        for i in row.J:
+            counts[i] = counts[i] + jnp.where(row.D > 0, 1.0, 0.0)
+    touching = problem.tree.touching
+    found = jnp.zeros(len(touching) + 1, like.dtype)
+    for contacts, slots in zip(problem.sets, problem.slots, strict=True):
+
+        def count(k: Any, n: jax.Array, of: Any = contacts, slots: Any = slots) -> jax.Array:
+            return n.at[jnp.asarray(of.links)[slots.found.pairs[k]]].add(1.0)
+
+        found = slots.fold(count, found)
+    for k, link in enumerate(touching):
+        counts[link] = counts[link] + found[k]
+    return pack(counts, like)
 
 
 def solution_at(
@@ -92,7 +120,7 @@ def solution_at(
     """Solve the contact problem at a state under applied forces.
 
     The values share one narrow phase. The derivatives of the acceleration are implicit. Those of
-    the forces follow from it through all candidates.
+    the forces follow from it through the contacts in use.
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t))
     names: list[tuple] = []  # of the rows, which are known after tracing
@@ -106,13 +134,18 @@ def solution_at(
         contacts = rows_of_slots(problem, found, assembly.origin)
         return SolutionArrays.of(problem, contacts, *_with_report(found))
 
+    def in_use(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> list[InUse]:
+        model, f_ext, dt, t = rebuilt(changed)
+        return Assembly(model, q, v, dt, t).problem(tau, f_ext).detect(gap=True).in_use
+
     def differentiable(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
+        used = in_use(*jax.lax.stop_gradient((changed, q, v, tau)))
         model, f_ext, dt, t = rebuilt(changed)
         a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
         assembly = Assembly(model, q, v, dt, t)
         problem = assembly.problem(tau, f_ext)
         names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
-        contacts = rows_of_candidates(problem, a, assembly.origin)
+        contacts = rows_in_use(problem, used, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
     def rule(primals: tuple, tangents: tuple) -> tuple:
@@ -141,7 +174,8 @@ class SoftContact:
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
-            best acceleration that was found; `rb.contact.solve` reports its error.
+            best acceleration that was found; `State.report`, `Trajectory.report` and
+            `rb.contact.solve` report its error.
         dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
             timestep.
 
@@ -161,10 +195,42 @@ class SoftContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
     ) -> jax.Array:
         """Compute the acceleration (nv,)."""
-        _, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+        return self._accelerated(slice(1), model, t, state, tau, f_ext)[0]
 
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-            return contact_acceleration(model, q, v, tau, *rest)[0]
+    def acceleration_and_error(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> tuple[jax.Array, jax.Array]:
+        """Compute the acceleration (nv,) and the error of the solver, which has no derivative."""
+        a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext)
+        return a, error
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the largest error of a converged step, in a dtype."""
+        return tolerance_of(dtype)
+
+    def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
+        """Compute the results of `contact_acceleration` that the slice `which` selects."""
+        model, q, v, tau, *rest = self._arguments(*given)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            return list(contact_acceleration(model, q, v, tau, *rest)[which])
+
+        return threads(solved)(q, v, tau)
+
+    def step_map(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any,
+        added: Entries,
+    ) -> list[jax.Array]:  # fmt: skip
+        """Compute (v+ - v) / h (nv,) of the `discrete` integrator, the error of the solver, and the
+        number of rows that act on each link (nv,).
+
+        tau: generalized forces with -h K v. added: h D + h^2 K by entry.
+        """
+        _, q, v, tau, *rest, _, t = self._arguments(model, t, state, tau, f_ext)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            a, _, *others = contact_acceleration(model, q, v, tau, *rest, dt, t, added)
+            return [a, *others]
 
         return threads(solved)(q, v, tau)
 
@@ -185,7 +251,8 @@ class SoftContact:
         return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
-        """Raise InputError if the law of a name has no parameters for a model."""
+        """Raise InputError if a model lacks the parameters of contact. name: the law, for the
+        message."""
         if model.solver is None or model.geoms is None:
             raise InputError(
                 f"{where}: contact={name!r} needs the contact parameters of a file, and the model "

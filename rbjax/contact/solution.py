@@ -50,11 +50,14 @@ class ContactSolution(Record):
         return self.contact + self.limit + self.friction + self.equality
 
     def forces_of(self, kind: str) -> jax.Array:
-        """Return the forces of the rows of a kind."""
+        """Return the forces of the rows of a kind: EQUALITY, LIMIT or FRICTION."""
         return self.rows[np.array([k for k, x in enumerate(self.sources) if x[0] == kind], int)]
 
     def force_of(self, kind: str, part: str, index: int) -> Lane:
-        """Return the sum of the forces of the rows of a kind that belong to a part of the model."""
+        """Return the sum of the forces of the rows of a kind that belong to one part of the model.
+
+        part, index: such as "joint" and the index of the joint.
+        """
         found = [k for k, source in enumerate(self.sources) if source == (kind, part, index)]
         return sum((self.rows[k] for k in found), jnp.zeros((), self.rows.dtype))
 
@@ -97,7 +100,8 @@ class SolutionArrays(NamedTuple):
     def solution(
         self, geoms: tuple[tuple[int, int], ...], sources: tuple[tuple[str, str, int], ...]
     ) -> ContactSolution:
-        """Return the solution with the names of its contacts and rows."""
+        """Convert to a `ContactSolution`. geoms, sources: the geoms of its contacts, the sources of
+        its rows."""
         limit, friction, equality = self.by_kind
         return ContactSolution(
             acceleration=self.a,
@@ -115,5 +119,5 @@ class SolutionArrays(NamedTuple):
 
 
 def sources_of_rows(problem: Problem) -> tuple[tuple[str, str, int], ...]:
-    """Return the kind of each row, and the part of the model to which it belongs."""
+    """Return (kind, part, index) of each scalar row, the part of the model to which it belongs."""
     return tuple((row.kind, *row.source) for row in problem.rows)

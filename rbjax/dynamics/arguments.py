@@ -25,6 +25,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "dq": lambda m: (m.nv,),
     "tau": lambda m: (m.nv,),
     "x": lambda m: (m.nx,),
+    "report": lambda m: (2,),
     "ctrl": lambda m: (m.nu,),
     "wrenches": lambda m: (m.nb, 6),
     "point": lambda m: (3,),
@@ -63,6 +64,8 @@ def check_arrays(
         given |= {"q": state.q, "v": state.v}
         if state.x is not None:
             given["x"] = state.x
+        if state.report is not None:
+            given["report"] = state.report
         memory = state.memory
     out: dict[str, Any] = {}
     for name, value in given.items():
@@ -81,7 +84,7 @@ def check_arrays(
         start = model.start(dtype) if x is None else None
         if start is not None:
             x = jnp.broadcast_to(start, (*batch, model.nx))
-        out["state"] = State(out.pop("q"), out.pop("v"), x, memory)
+        out["state"] = State(out.pop("q"), out.pop("v"), x, memory, out.pop("report", None))
     return out
 
 

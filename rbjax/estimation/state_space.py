@@ -162,11 +162,8 @@ def model_state_space(
     check_takes("model_state_space", "read", read, "state")
     if dt is not None:
         check_step("model_state_space", "dt", dt, jnp.zeros(()).dtype)
-    integrator_of(
-        "model_state_space",
-        integrator,
-        dynamics_of("model_state_space", model, dynamics, constraints),
-    )
+    at = "model_state_space"
+    integrator_of(at, integrator, dynamics_of(at, model, dynamics, constraints), model)
 
     def move(state: State, ctrl: Any, w: jax.Array) -> State:
         new = step(

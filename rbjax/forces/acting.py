@@ -22,10 +22,10 @@ from rbjax.forces.actuators.actuator import Actuator, from_columns
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
-from rbjax.forces.joints.polynomials import linear_springs
+from rbjax.forces.joints.polynomials import JointPolynomials, linear_springs
 from rbjax.forces.slopes import Slope
 from rbjax.forces.tendons.springs import tendon_springs
-from rbjax.lanes import Lane, add, is_zero, total
+from rbjax.lanes import Lane, add, is_literal, is_zero, total
 from rbjax.lanes.arrays import pack
 from rbjax.model import Model, State
 from rbjax.model.leaves import table
@@ -160,8 +160,49 @@ def slopes(
     context = Context.of(model, t, state, ctrl, dt)
     found = element_contexts(model, context)
     out = [x for e, seen in found if isinstance(e, of) and not e.actuates for x in e.slopes(seen)]
-    if not issubclass(Actuator, of):
-        return out
+    return out + _slopes_of_actuators(model, found, context) if issubclass(Actuator, of) else out
+
+
+def stable_slopes(
+    model: Model, t: Any, state: State, ctrl: Any, dt: Any = None
+) -> tuple[list[Slope], list[Slope]]:
+    """List the stiffness and damping of all forces, none below zero, for the `discrete` integrator:
+    of joint springs, dampers and fluids, then of all others.
+
+    Springs and dampers of a joint are added before a negative sum is replaced by zero. The damping
+    of fluids has only their drag.
+    """
+    context = Context.of(model, t, state, ctrl, dt)
+    found = element_contexts(model, context)
+    of_dof: dict[int, Slope] = {}
+    fluids, others = list[Slope](), list[Slope]()
+    for element, seen in found:
+        if element.actuates:
+            continue
+        given = element.dissipative_slopes(seen)
+        if not isinstance(element, JointPolynomials):
+            for x in given:
+                (fluids if x.along is not None else others).append(x)
+            continue
+        for x in given:
+            (i,) = x.arms
+            old = of_dof.get(i, Slope({i: 1.0}, 0.0, 0.0))
+            k, d = add(old.stiffness, x.stiffness), add(old.damping, x.damping)
+            of_dof[i] = Slope({i: 1.0}, k, d)
+    others += _slopes_of_actuators(model, found, context)
+    positive = ([x.scaled(_not_negative) for x in xs] for xs in (of_dof.values(), others))
+    own, rest = positive
+    return own + fluids, rest
+
+
+def _not_negative(x: Lane) -> Lane:
+    return max(x, 0.0) if is_literal(x) else jnp.maximum(x, 0.0)
+
+
+def _slopes_of_actuators(
+    model: Model, found: list[tuple[Element, Context]], context: Context
+) -> list[Slope]:
+    out: list[Slope] = []
     free = _unsaturated(model, found, context)
     for element, seen in _actuators(model, found):
         own = element.slopes(seen)

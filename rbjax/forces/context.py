@@ -356,7 +356,7 @@ def on_each(
 
 
 def frames_of(context: Context, bodies: Sequence[int], *numbers: Any) -> Iterator[tuple]:
-    """Iterate over the frames of the bodies that move, with their rows of the parameters."""
+    """Yield, for each body that can move, its frame and its rows of the parameters `numbers`."""
     columns = jax.tree.map(lambda x: _lanes(table(x, context.q.dtype)), numbers)
     for i, b in enumerate(bodies):
         if context.model.topology.body_links[b] != WORLD:

@@ -157,8 +157,13 @@ class Element(Record):
 
     def slopes(self, context: Context) -> Iterable[Slope]:
         """Compute the stiffness and damping of the element's forces, for steps that are implicit in
-        them (`implicitfast`, `variational_midpoint`). Forces without slopes are explicit."""
+        them (`implicitfast`, `discrete`, `variational_midpoint`). Forces without slopes are
+        explicit."""
         return []
+
+    def dissipative_slopes(self, context: Context) -> Iterable[Slope]:
+        """Compute `slopes` without the forces that do no work, for the integrator `discrete`."""
+        return self.slopes(context)
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
         """Clip the element's state x to its range. `rollout` calls it after each step, with any

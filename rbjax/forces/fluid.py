@@ -288,13 +288,20 @@ class EllipsoidFluid(Element):
 
     def slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of each ellipsoid."""
+        return self._slopes(context, self._ellipsoids(context))
+
+    def dissipative_slopes(self, context: Context) -> list[Slope]:
+        """Compute the damping of the drag, without lift and added mass."""
+        lift = {"kutta": 0.0, "magnus": 0.0, "mass": Vec3.zero(), "inertia": Vec3.zero()}
+        return self._slopes(context, self._ellipsoids(context)._replace(**lift))
+
+    def _slopes(self, context: Context, own: _Ellipsoid) -> list[Slope]:
         axes = rotations(table(self.orientation, context.q.dtype))
         wind, out = in_lanes(self.wind, context), list[Slope]()
-        given = axes, self.position, self._ellipsoids(context)
-        for frame, (turn, position, own) in frames_of(context, self.bodies, *given):
-            here = frame.then(Transform(turn, position))
-            V = relative_twist(here, wind)
-            out += wrench_slopes(here, partial(_wrench, own=own), V, context.q.dtype)
+        given = self.bodies, axes, self.position, own
+        for frame, (turn, position, own) in frames_of(context, *given):
+            here, force = frame.then(Transform(turn, position)), partial(_wrench, own=own)
+            out += wrench_slopes(here, force, relative_twist(here, wind), context.q.dtype)
         return out
 
     def _ellipsoids(self, context: Context) -> _Ellipsoid:

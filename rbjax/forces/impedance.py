@@ -12,6 +12,12 @@ d is the mean of d_0 and d_w if the width is zero. solref = (time constant T, da
 k = 1 / (d_w T z)^2 and b = 2 / (d_w T). solref = (-stiffness, -damping), neither above zero, gives
 k = stiffness / d_w^2 and b = damping / d_w. Other signs stand for the default of MuJoCo.
 
+In the step map of MuJoCo's `discrete` integrator the spring and the damper of a row act at the end
+of a step h:
+
+    f = 1 + h b + h^2 k d,   a_ref = (-k d r - (b + h k d) J v) / f
+    R = max((1 - d) / (d f), (1 - 0.9999) / 0.9999) w
+
 The functions act entry by entry on lanes. Parameters that are constants while tracing are folded.
 
 Source: MuJoCo, *Computation*, constraint model, parameters; Todorov 2014.
@@ -19,14 +25,15 @@ Source: MuJoCo, *Computation*, constraint model, parameters; Todorov 2014.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, add, is_literal, mul
+from rbjax.lanes import Lane, add, is_literal, mul, neg
 from rbjax.model.solver_parameters import SOLREF
 
 #: a few lanes, or an array with an axis of them in front
@@ -80,6 +87,68 @@ def reference(
     r, velocity, d, *solref, high, dt = _constants(r, velocity, d, *solref, solimp[1], dt)
     k, b = _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), dt if refsafe else None)
     return add(mul(-b, velocity), mul(mul(-k, d), r))
+
+
+class EndOfStep(NamedTuple):
+    """The terms of a row whose spring and damper act at the end of a step.
+
+    Fields:
+        R: the regularisation.
+        spring: k d / f, the factor of the residual in the reference acceleration.
+        damper: (b + h k d) / f, the factor of the rate of the residual.
+        factor: f.
+    """
+
+    R: Lane
+    spring: Lane
+    damper: Lane
+    factor: Lane
+
+    def reference(self, r: Lane, velocity: Lane) -> Lane:
+        """Compute the reference acceleration at the residual r and its rate `velocity`."""
+        return neg(add(mul(self.spring, r), mul(self.damper, velocity)))
+
+
+def end_of_step(
+    d: Lane, weight: Lane, solref: Lanes, solimp: Lanes, dt: Lane,
+    *, spring: bool = True, resolve: bool = False,
+) -> EndOfStep:  # fmt: skip
+    """Compute the terms of a row of the `discrete` integrator.
+
+    Args:
+        d: the impedance.
+        weight: the inverse inertia of the row.
+        solref, solimp, dt: as in `reference`.
+        spring: static, whether the row has a spring.
+        resolve: static, whether a spring with h^2 k d > 1 is replaced by the stiffest spring of the
+            same damping ratio that does not rebound.
+    """
+    d, weight, *solref, high, dt = _constants(d, weight, *solref, solimp[1], dt)
+    k, b = _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), None)
+    if not spring:
+        k = 0.0
+    elif resolve:
+        k, b = _resolved(k, b, d, solref, dt)
+    pull = mul(k, d)
+    factor = add(1.0, add(mul(dt, b), mul(mul(dt, dt), pull)))
+    most = IMPEDANCES[1]
+    R = _larger((1 - d) / d * weight, LEAST) / factor
+    R = _larger(R, _larger((1 - most) / most * weight, LEAST))
+    return EndOfStep(R, pull / factor, add(b, mul(dt, pull)) / factor, factor)
+
+
+def _resolved(k: Lane, b: Lane, d: Lane, solref: Sequence[Lane], dt: Lane) -> tuple[Lane, Lane]:
+    """Return stiffness and damping of a row with a time constant, limited to those that a step
+    resolves."""
+    first, second = solref
+    excess = mul(mul(mul(dt, dt), k), d)
+    stiff = (excess > 1) & ((first > 0) | (second > 0))
+    most = IMPEDANCES[1]
+    largest = most * (1 - d) / (d * (1 - most))
+    weaker = b / _root(_where(stiff, excess, 1.0))
+    least = _larger(largest - 2, 0.0) / dt
+    damping = _where(weaker < least, weaker, least)
+    return _where(stiff, 1 / (dt * dt * d), k), _where(stiff, damping, b)
 
 
 def regularisation(d: Lane, weight: Lane) -> Lane:
@@ -140,6 +209,11 @@ def _magnitude(x: Lane) -> Lane:
     return abs(x) if is_literal(x) else x * _module(x).sign(x)
 
 
+def _root(x: Lane) -> Lane:
+    """Compute sqrt(x)."""
+    return math.sqrt(x) if is_literal(x) else _module(x).sqrt(x)
+
+
 def _larger(x: Lane, least: Lane) -> Lane:
     """Compute max(x, least)."""
     literal = is_literal(x) and is_literal(least)
@@ -152,7 +226,8 @@ def _clip(x: Lane, low: float, high: float) -> Lane:
 
 
 def _power(x: Lane, power: Lane) -> Lane:
-    """Compute x^power. A literal integer is a product, which has derivatives of any order."""
+    """Compute x^power. For a literal integer power it is a product of x, with derivatives of any
+    order."""
     if is_literal(power) and power == int(power):
         return x ** int(power)
     return x**power

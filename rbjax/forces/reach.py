@@ -66,7 +66,8 @@ def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
 
 
 def opposed_arms(a: Arms, b: Arms) -> Arms:
-    """Merge the moment arms of two branches, without the joints that carry both."""
+    """Return the moment arms of an action and of its reaction. Joints that carry both ends have
+    none."""
     return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
 
 
@@ -106,8 +107,11 @@ def _crossings(links: LinkMotion, pieces: Iterable[Piece]) -> dict[int, tuple]:
 
 
 def _sum(pieces: Sequence[Piece], crossing: tuple) -> tuple[Vec3, Vec3, Vec3]:
-    """Sum the pulls of pieces on a dof: point, force, and moment about the point, in world axes.
-    `crossing` is an entry of `_crossings`."""
+    """Sum the pulls of pieces on a dof. Return a point, the force, and the moment about the point,
+    in world axes.
+
+    crossing: pairs (index of a piece, True if the dof moves the piece's end and not its start).
+    """
     (first, ends), *others = crossing
     point, force, moment = pieces[first].point, pieces[first].pull, Vec3.zero()
     force = force if ends else -force

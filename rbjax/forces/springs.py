@@ -115,7 +115,7 @@ class PointSpring(Element):
         return a.push(force) + b.push(-force)
 
     def energy(self, context: Context) -> Lane:
-        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...) of the stretch x, J."""
         k = coefficients(self.stiffness, context.q.dtype)
         if all(map(is_zero, k)):
             return 0.0

@@ -44,7 +44,10 @@ def step(
     null_step: Sequence[Lane] | None,
     damping: Lane,
 ) -> list[Lane]:
-    """Return the step dq (nv lanes) from q, for weighted e and J."""
+    """Return the damped least-squares step dq (nv lanes) at q, without motion beyond active limits.
+
+    e, J: weighted errors and their Jacobian. null_step: step in the null space of J, or None.
+    """
     g = transpose_product(J, e)
     direction = g if null_step is None else [add(a, b) for a, b in zip(g, null_step, strict=True)]
     dq = g

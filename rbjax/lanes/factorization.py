@@ -175,7 +175,10 @@ REFINEMENTS = {4: 3, 8: 2}
 
 
 def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
-    """Return eps, e and the number of refinements: (damping, damping, 1) if it is given."""
+    """Return eps and e of the regularization E = eps diag(A) + e B, and the number of refinements.
+
+    damping: value of eps and e, with one refinement; None uses the values of the dtype.
+    """
     if damping is not None:
         return damping, damping, 1
     eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))

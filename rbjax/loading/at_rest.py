@@ -340,7 +340,8 @@ def _extents(
 
 
 def _directions(axis: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Return unit vectors across an axis, the first towards the off-axis shape."""
+    """Return unit vectors evenly around an axis, orthogonal to it. The first one is in the plane of
+    `away`."""
     first = away - (away @ axis) * axis
     if np.linalg.norm(first) < 1e-12:
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])

@@ -25,6 +25,7 @@ from rbjax.model.record import EXECUTION, PRECOMPUTED_FROM, Execution, cast_floa
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.solver_parameters import SolverParameters
+from rbjax.model.state import State
 from rbjax.model.tendons import Tendons
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
@@ -39,21 +40,6 @@ AXES = {
     "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
 _AXES = list(AXES.values())
-
-
-class State(Record):
-    """The state of a robot.
-
-    q: (nq,) configuration, in MuJoCo's layout.
-    v: (nv,) velocity.
-    x: (nx,) states of the force elements; None stands for their initial states, or for no states.
-    memory: (m,) values that a dynamics keeps between steps (`VelocityDynamics`), or None.
-    """
-
-    q: jax.Array
-    v: jax.Array
-    x: jax.Array | None = None
-    memory: jax.Array | None = None
 
 
 class Bodies(Record):

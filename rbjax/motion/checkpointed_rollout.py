@@ -125,7 +125,8 @@ class CheckpointedRollout:
         )
 
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: SavedVjp | None) -> Any:
-        """Advance the index and the state by a step; return the residuals for `step_vjp` too."""
+        """Advance (step index, state) by a step with control u. Also return the residuals for
+        `step_vjp`."""
         i, state = carry
         step = step_vjp.forward if step_vjp else self.step
         new = run(step, [i, *state, *_given(u), *others])  # one equation for any length

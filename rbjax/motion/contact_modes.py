@@ -34,7 +34,8 @@ TINY = 1e-12
 
 
 class Mode(NamedTuple):
-    """The mode of the n contacts: kept, sliding, and the direction of slip (n, 2)."""
+    """The mode of n contacts: whether each is kept, whether it slides, and its direction of slip
+    (n, 2)."""
 
     kept: jax.Array
     slides: jax.Array
@@ -60,7 +61,8 @@ class ContactForces(NamedTuple):
 
 
 class ContactSystem(eqx.Module):
-    """The vector field and the guard of a phase; its args are the `Mode`."""
+    """The equations of motion between two contact events, and the guards that detect the next
+    event. The `args` of both functions are the `Mode`."""
 
     model: Model
     inputs: Inputs
@@ -102,12 +104,16 @@ class ContactSystem(eqx.Module):
         return relative_velocity(self.model, q, v, contacts), contacts
 
     def guards(self, t: Any, y: State, mode: Mode) -> jax.Array:
-        """Return the guards (4, n): distance of open contacts, normal force, slip, and the reserve
-        of friction of kept ones. Each is infinite for other contacts."""
+        """Compute the guards (4, n) of the contact points: functions that cross zero at an event.
+
+        They are the distance of an open contact and, for a kept one, its normal force, its speed
+        along its direction of sliding, and the reserve mu f_n - |f_t| of friction. A guard without
+        a meaning is infinite.
+        """
         return self.guards_of(self.motion(t, y, mode)[2], mode)
 
     def guards_of(self, found: ContactForces, mode: Mode) -> jax.Array:
-        """Return the guards (4, n) of contacts."""
+        """Compute the guards (4, n) of `guards`, from contact forces that are found already."""
         mu, far = self.friction, jnp.inf
         rubs = mode.kept & (mu > 0) & jnp.isfinite(mu)
         tangent = jnp.sqrt((found.f[:, 1:] ** 2).sum(-1) + TINY**2)
@@ -127,7 +133,11 @@ class ContactSystem(eqx.Module):
 def kept_forces(
     D: jax.Array, free: jax.Array, u: jax.Array, mu: jax.Array, mode: Mode
 ) -> jax.Array:
-    """Return the forces (n, 3) that keep the relative acceleration of kept rows at zero.
+    """Return the contact forces (n, 3) that keep the relative acceleration of kept contacts at
+    zero.
+
+    D: Delassus matrix. free: relative accelerations (n, 3) without contact forces. u: relative
+    velocities (n, 3). mu: friction coefficients (n,).
 
     Rows that are not kept have no force; the friction of a sliding contact is -mu f_n times the
     direction of slip. The matrix is regularised, with two refinements, for contacts that are
@@ -158,7 +168,7 @@ def kept_forces(
 
 
 def initial_mode(system: ContactSystem, state: State) -> tuple[Mode, jax.Array]:
-    """Return the mode at the start, and whether a contact touches and opens there."""
+    """Return the mode at the start, and whether a contact that touches is opening there."""
     at, mu = jax.lax.stop_gradient(system.unit(state)), system.friction
     u, contacts = jax.lax.stop_gradient(system.slip(at.q, at.v))
     near, least = _small(at.q.dtype)
@@ -176,7 +186,7 @@ def _small(dtype: Any) -> tuple[float, float]:
 
 
 def _slip_direction(u: jax.Array, still: Any) -> tuple[jax.Array, jax.Array]:
-    """Return whether contacts slip (n,), and the unit direction of slip (n, 2)."""
+    """Return whether contacts slip faster than `still` (n,), and the unit slip direction (n, 2)."""
     length = jnp.sqrt((u[:, 1:] ** 2).sum(-1))
     moves = length > still
     return moves, u[:, 1:] / jnp.where(moves, length, 1)[:, None]
@@ -186,7 +196,10 @@ def transition(
     system: ContactSystem, t: Any, y: State, mode: Mode, e: jax.Array, rest: jax.Array, law: str
 ) -> tuple:
     """Return the state and the mode after an event, the contacts that closed, the residual of the
-    impact and whether it succeeded."""
+    impact and whether it succeeded.
+
+    e: restitution. rest: normal speed up to which a contact does not rebound.
+    """
     at, mu = system.unit(y), system.friction
     now = system.motion(t, y, mode)[2]
     found = jax.lax.stop_gradient(now)

@@ -24,11 +24,12 @@ from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.errors import InputError
-from rbjax.forces.acting import applied, slopes, within
+from rbjax.forces.acting import applied, slopes, stable_slopes, within
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import Slope
 from rbjax.model import Model, State, without_constants
+from rbjax.motion.solver_report import reports, with_step
 
 
 class Dynamics(Protocol):
@@ -93,42 +94,82 @@ class Field:
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
         """Compute the rates v' (nv,) and x' (nx,)."""
+        a, x, _ = self.rates_and_error(t, State(state.q, state.v, state.x, state.memory), u)
+        return a, x
+
+    def rates_and_error(
+        self, t: Any, state: State, u: Inputs
+    ) -> tuple[jax.Array, jax.Array | None, jax.Array | None]:
+        """Compute the rates v' (nv,) and x' (nx,), and the error of the solver, or None if the
+        state has no report or the dynamics no solver."""
         tau, f_ext, x = self.applied(t, state, u)
-        return self._acceleration(t, state, tau, f_ext), x
+        a, error = self._acceleration(t, state, tau, f_ext)
+        return a, x, error
 
     def advance_velocity(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple:
-        """Compute v (nv,), x (nx,) and the memory after a step dt with constant forces, and the
+        """Compute v (nv,), x (nx,), memory and report after a step dt with constant forces, and the
         velocity (nv,) that moves the configuration."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
         if not isinstance(self.dynamics, VelocityDynamics):
-            v = state.v + dt * self._acceleration(t, state, tau, f_ext)
-            return v, x, state.memory, v
+            a, error = self._acceleration(t, state, tau, f_ext)
+            v = state.v + dt * a
+            return v, x, self.kept(state, error), v
         given = self._model_of_dynamics, t, state, tau, f_ext, dt
         v, memory, *others = self.dynamics.advance_velocity(*given)
-        v = self._checked("velocity", v, state)
+        v, kept = self._checked("velocity", v, state), (memory, state.report)
+        if state.report is not None and reports(self.dynamics):
+            kept = memory, self.report(state, self.dynamics.solver_error(memory))
         if not others:
-            return v, x, memory, v
+            return v, x, kept, v
         (mean,) = others
-        return v, x, memory, self._checked("mean velocity", mean, state)
+        return v, x, kept, self._checked("mean velocity", mean, state)
 
     def inertial_force(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
-        """Compute M a (nv,) of free motion, x (nx,) after a step dt, and the memory."""
-        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
-        bias = forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
-        return tau - bias, x, state.memory
+        """Compute M a (nv,) of free motion, x (nx,) after a step dt, memory and report."""
+        tau, f_ext, x = self.step_forces(t, state, u, dt)
+        return tau - self.bias(state, f_ext), x, self.kept(state, None)
+
+    def step_forces(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple:
+        """Compute the generalized forces (nv,), forces on links, and x (nx,) after a step dt."""
+        return applied(self.precomputed, t, state, u, dt, advance=True)
+
+    def bias(self, state: State, f_ext: LinkForces) -> jax.Array:
+        """Compute the generalized bias forces b - J^T f_ext (nv,) at a state under forces
+        on links."""
+        return forces_at(self.precomputed, state.q, state.v, jnp.zeros_like(state.v), f_ext)
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
-        """Compute the acceleration (nv,), x (nx,) after a step dt, and the memory."""
+        """Compute the acceleration (nv,), x (nx,) after a step dt, memory and report."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
-        return self._acceleration(t, state, tau, f_ext), x, state.memory
+        a, error = self._acceleration(t, state, tau, f_ext)
+        return a, x, self.kept(state, error)
+
+    def kept(self, state: State, error: jax.Array | None) -> tuple:
+        """Return memory and report of the state after a step. error: the error of the contact
+        solver."""
+        return state.memory, self.report(state, error)
+
+    def report(self, state: State, error: jax.Array | None) -> jax.Array | None:
+        """Return the report of a state after a step. error: the error of the contact solver."""
+        if state.report is None or error is None:
+            return state.report
+        return with_step(state.report, error, self.dynamics.solver_tolerance(error.dtype))
 
     def applied(self, t: Any, state: State, u: Inputs) -> tuple:
         """Compute the applied generalized forces (nv,), forces on links, and x' (nx,)."""
         return applied(self.precomputed, t, state, u, self.dt)
 
-    def _acceleration(self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces) -> jax.Array:
-        a = self.law(self._model_of_dynamics, t, state, tau, f_ext)
-        return a if self.dynamics is free_motion else self._checked("result", a, state)
+    def _acceleration(
+        self, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
+    ) -> tuple[jax.Array, jax.Array | None]:
+        """Compute the acceleration (nv,) and the error of the solver (`rates_and_error`)."""
+        law, error = self.law, None
+        given = self._model_of_dynamics, t, state, tau, f_ext
+        if state.report is not None and reports(law):
+            a, error = law.acceleration_and_error(*given)
+        else:
+            a = law(*given)
+        return a if self.dynamics is free_motion else self._checked("result", a, state), error
 
     def _checked(self, what: str, x: Any, state: State) -> jax.Array:
         x = check_array("dynamics", f"the {what} of the dynamics", x, (self.model.nv,))
@@ -136,7 +177,7 @@ class Field:
 
     @property
     def law(self) -> Any:
-        """The dynamics; a law of soft contact has the step of the field, unless it has its own."""
+        """The dynamics. A law of soft contact without a step gets the step of the field."""
         dynamics = self.dynamics
         if isinstance(dynamics, SoftContact) and dynamics.dt is None:
             return replace(dynamics, dt=self.dt)
@@ -150,14 +191,16 @@ class Field:
 
     def forces(
         self, t: Any, state: State, u: Inputs
-    ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
-        """Compute all generalized forces (nv,), forces on links, and x' (nx,). If the dynamics is
-        not free motion, tau is its inverse dynamics and includes the constraint forces."""
+    ) -> tuple[jax.Array, LinkForces, jax.Array | None, jax.Array | None]:
+        """Compute all generalized forces (nv,), forces on links, x' (nx,), and the error of the
+        solver (`rates_and_error`). If the dynamics is not free motion, tau is its inverse dynamics
+        and includes the constraint forces."""
         tau, f_ext, x = self.applied(t, state, u)
+        error = None
         if self.dynamics is not free_motion:
-            a = self._acceleration(t, state, tau, f_ext)
+            a, error = self._acceleration(t, state, tau, f_ext)
             tau = forces_at(self.precomputed, state.q, state.v, a, f_ext)
-        return tau, f_ext, x
+        return tau, f_ext, x, error
 
     def retract(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """Return the configuration q (+) dq."""
@@ -168,6 +211,12 @@ class Field:
     ) -> list[Slope]:
         """List the stiffness and damping of the forces, or of the elements of a class."""
         return slopes(self.precomputed, t, state, u.ctrl, dt, of=of)
+
+    def stable_slopes(
+        self, t: Any, state: State, u: Inputs, dt: Any
+    ) -> tuple[list[Slope], list[Slope]]:
+        """List the stiffness and damping of the forces, none below zero."""
+        return stable_slopes(self.precomputed, t, state, u.ctrl, dt)
 
     def stage_state(self, t: Any, state: State, t0: Any, start: State) -> State:
         """Return the state for the rates of a stage, in a step that begins at (t0, start)."""

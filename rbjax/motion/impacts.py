@@ -192,7 +192,8 @@ def simulate_impacts(
 
 
 class _Carry(NamedTuple):
-    """The loop over phases: time, state, mode, and the results so far."""
+    """The state of the loop over phases between events: time, state, mode, and the
+    results so far."""
 
     t: jax.Array
     y: State

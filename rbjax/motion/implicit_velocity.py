@@ -54,24 +54,24 @@ class ImplicitVelocity:
         damping = self._damping(field, t, state, u, dt)
         entries = {at: mul(dt, d) for at, d in damping.items()}
         if field.dynamics is free_motion:
-            force, x, memory = field.inertial_force(t, state, u, dt)
+            force, x, kept = field.inertial_force(t, state, u, dt)
             a = velocity_of(model, q, force, entries)
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
-            a, x, memory = field.acceleration(t, state, u, dt)
+            a, x, kept = field.acceleration(t, state, u, dt)
             if entries:
                 a = a - velocity_of(model, q, product(entries, a), entries)
         v = state.v + dt * a
-        return State(field.retract(state.q, dt * v), v, x, memory)
+        return State(field.retract(state.q, dt * v), v, x, *kept)
 
     def _damping(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> dict:
-        """Compute the entries of D."""
+        """Compute the entries (i, j) -> value of the implicit damping matrix D."""
         model = field.precomputed
         turning = self._with_bias(model.topology)
         found = field.slopes(t, state, u, dt, of=self.of)
         out: dict[tuple[int, int], Lane] = matrix(found, lambda slope: slope.damping, turning)
         if turning:
             bias = bias_derivative(model, state.q, state.v)
-            for i, j in _coupled(model.topology, turning):
+            for i, j in coupled(model.topology, turning):
                 out[i, j] = add(out.get((i, j), 0.0), bias[i, j])
         return out
 
@@ -93,7 +93,7 @@ def floating(top: Topology) -> set[int]:
     return out
 
 
-def _coupled(top: Topology, dofs: Container[int]) -> list[tuple[int, int]]:
+def coupled(top: Topology, dofs: Container[int]) -> list[tuple[int, int]]:
     """List the pairs of dofs that the tree couples."""
     pairs = [(i, j) for i, path in enumerate(top.ancestors) for j in path if i in dofs]
     return [*pairs, *((j, i) for i, j in pairs if i != j)]

@@ -2,6 +2,7 @@
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
     implicit velocity     with the damping matrix, see `implicit_velocity`
+    discrete              springs and contacts act at the end of a step, see `step_map`
     variational midpoint  on momenta, see `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
@@ -29,6 +30,8 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field, VelocityDynamics, free_motion
 from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.implicit_velocity import ImplicitVelocity
+from rbjax.motion.solver_report import reports
+from rbjax.motion.step_map import step_map
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.steps import combine, explicit_stages, scale
 from rbjax.solvers.tableau import DOP853, KUTTA4, Tableau, of_diffrax
@@ -53,8 +56,8 @@ class Integrator(Protocol):
 def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
     """Advance a state by v+ = v + dt a(q, v), q+ = q (+) dt v+, x+ = x + dt x'. The order is 1.
     The step is symplectic if the mass matrix is constant and no force depends on v."""
-    v, x, memory, moving = field.advance_velocity(t, state, u, dt)
-    return State(field.retract(state.q, dt * moving), v, x, memory)
+    v, x, kept, moving = field.advance_velocity(t, state, u, dt)
+    return State(field.retract(state.q, dt * moving), v, x, *kept)
 
 
 def runge_kutta(
@@ -65,23 +68,28 @@ def runge_kutta(
 
     written: whether to unroll the stages; None: unroll them if there are few.
     """
-    q0, v0, x0 = state.q, state.v, state.x
-    t0 = t
+    q0, v0, x0, report = state.q, state.v, state.x, state.report
+    t0, parts = t, 2 if x0 is None else 3
 
     def stage_state(t, dq, dv, x):
-        return field.stage_state(t, State(field.retract(q0, dq), v0 + dv, x), t0, state)
+        at = State(field.retract(q0, dq), v0 + dv, x, state.memory, report)
+        return field.stage_state(t, at, t0, state)
 
     def rate(t, k):
         at = stage_state(t, k[0], k[1], None if x0 is None else x0 + k[2])
-        a, x = field.rates(t, at, u)
-        return _given(field.increment_rate(k[0], at.v), a, x)
+        a, x, error = field.rates_and_error(t, at, u)
+        return _given(field.increment_rate(k[0], at.v), a, x, error)
 
     if written is None:
         written = table.stages * field.model.nv <= WRITTEN_UP_TO
     stages = explicit_stages(rate, table, t, dt, written=written)
-    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
-    dq, dv, *dx = scale(dt, combine(table.b, stages(start)))
-    return stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
+    has_error = report is not None and reports(field.dynamics)
+    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0, report[0] if has_error else None))
+    ks = stages(start)
+    dq, dv, *dx = scale(dt, combine(table.b, [k[:parts] for k in ks]))
+    error = functools.reduce(jnp.maximum, [k[-1] for k in ks]) if has_error else None
+    after = stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
+    return State(after.q, after.v, after.x, *field.kept(state, error))
 
 
 def _given(*parts: Any) -> tuple:
@@ -94,6 +102,7 @@ INTEGRATORS: dict[str, Integrator] = {
     "euler_implicit_damping": ImplicitVelocity("euler_implicit_damping", JointPolynomials),
     "implicitfast": ImplicitVelocity("implicitfast"),
     "implicit": ImplicitVelocity("implicit"),
+    "discrete": step_map,
 }
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
@@ -117,8 +126,7 @@ def integrator_of(
     if formulation is not None:
         return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
-        own = model.solver if isinstance(dynamics, SoftContact) and model is not None else None
-        integrator = "semi_implicit_euler" if own is None else own.integrator
+        integrator = default_integrator(dynamics, model)
     velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
     if velocities and isinstance(integrator, str) and integrator != "semi_implicit_euler":
         raise InputError(
@@ -140,12 +148,36 @@ def integrator_of(
     return INTEGRATORS[integrator]
 
 
+def default_integrator(
+    dynamics: Any, model: Model | None, smooth: str = "semi_implicit_euler"
+) -> str:
+    """Return the name of the default integrator of a dynamics.
+
+    It is the integrator of the model's file for MuJoCo's contacts, semi-implicit Euler for a law
+    that gives the velocity after a step, and `smooth` for other motions.
+    """
+    if isinstance(dynamics, SoftContact) and model is not None and model.solver is not None:
+        return model.solver.integrator
+    if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
+        return "semi_implicit_euler"
+    return smooth
+
+
 def advance_state(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
     """Advance a state by a step of any integrator, clip the states of force elements to their
-    ranges, and project the state onto the constraints of a formulation."""
+    ranges, and project the state onto the constraints of a formulation.
+
+    If the integrator returns no report of the contact solver, the error at the start of the step
+    counts.
+    """
     after: Any = integrator(field, t, state, u, dt)
+    if state.report is not None and isinstance(after, State) and after.report is None:
+        error = None
+        if not isinstance(field.dynamics, VelocityDynamics):
+            *_, error = field.rates_and_error(t, state, u)
+        after = State(after.q, after.v, after.x, after.memory, field.report(state, error))
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)
     tree: Any = jax.tree.structure(after)

@@ -225,7 +225,8 @@ def box_plus(model: Model, state: State, dx: jax.Array) -> State:
     """Retract a state by a tangent vector: state (+) dx, dx = [dq; dv; dx_e]."""
     n = model.nv
     x = None if state.x is None else state.x + dx[2 * n :]
-    return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x, state.memory)
+    q, v = integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n]
+    return State(q, v, x, state.memory, state.report)
 
 
 def box_minus(model: Model, one: State, other: State) -> jax.Array:

@@ -37,6 +37,7 @@ from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_c
 from rbjax.motion.inputs import Sources, check_sources
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.linearise import linearise
+from rbjax.motion.solver_report import initial_report, warn_if_unconverged
 from rbjax.motion.step import with_memory
 from rbjax.motion.threaded import Steps, rollout_on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite, check_save_every, scan_steps
@@ -71,6 +72,10 @@ def rollout(
     and the bias forces of bodies that float freely; or -d(tau - b)/dv. Other force elements may
     define their part (`Element.slopes`). Rigid constraints need another integrator.
 
+    `discrete`: springs, dampers, servos and the rows of MuJoCo's contacts act at the end of a step,
+    in one problem with the matrix M + dt D + dt^2 K, as in MuJoCo. Use it for stiff springs and
+    servos, and for contacts with time constants below the step.
+
     `variational_midpoint`: order 2, symplectic in (q, p = M v), attitudes included, and implicit in
     all forces. Energy does not drift. A step has 6 evaluations (`VariationalMidpoint(evaluations)`
     changes the number) and costs as much as 4.5 to 8 steps of semi-implicit Euler. A step that does
@@ -102,8 +107,9 @@ def rollout(
             (steps, nb, 6), or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated
             once a step.
         integrator: one of "semi_implicit_euler", "euler_implicit_damping", "implicitfast",
-            "implicit", "variational_midpoint", "rk4", "tsit5", "dopri8", "dop853"; or a function
-            (field, t, state, inputs, dt) -> state (`rbjax.motion.integrators.Integrator`). None:
+            "implicit", "discrete", "variational_midpoint", "rk4", "tsit5", "dopri8", "dop853"; or a
+            function (field, t, state, inputs, dt) -> state
+            (`rbjax.motion.integrators.Integrator`). None:
             "semi_implicit_euler"; with MuJoCo's contacts `model.solver.integrator`, the
             integrator of the file. For constraints of index 2 and 3 a fully implicit method
             (`rbjax.constraints.DifferentialAlgebraic`).
@@ -124,8 +130,10 @@ def rollout(
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, beginning with the initial state. q is
-        (T, nq), or (B, T, nq) for a batch. `ok`: whether all values are finite. Outside traced code
-        the first failure warns with the number of failed samples and a stable step.
+        (T, nq), or (B, T, nq) for a batch. `ok`: whether all values are finite. `unconverged`: the
+        number of steps whose solver of contacts did not converge; `worst_error`: its largest
+        error. Outside traced code failures of both kinds warn: the number of samples, the first
+        failure, and a stable step.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
@@ -161,6 +169,7 @@ def rollout(
     )  # fmt: skip
     if not isinstance(path.ok, jax.core.Tracer):
         _warn_if_not_finite(model, path, step, dynamics)
+        warn_if_unconverged("rollout", path, dynamics)
     return path
 
 
@@ -170,13 +179,17 @@ def run_rollout(
     save_every: int = 1,
     steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
 ) -> tuple[Trajectory, jax.Array, Dynamics]:  # fmt: skip
-    """Compute the trajectory of `rollout` without its warning, the step in s and the dynamics."""
+    """Run `rollout` without its warning. Return the trajectory, the step in s, and the dynamics."""
     dynamics = dynamics_of("rollout", model, dynamics, constraints, steps=True)
     advance = integrator_of("rollout", integrator, dynamics, model)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrl, tau, wrenches), steps)
     save_every = check_save_every("rollout", save_every, steps)
-    state = with_memory(model, state, dynamics, state.q.shape[:-1])
+    batch = state.q.shape[:-1]
+    state = with_memory(model, state, dynamics, batch)
+    state = State(
+        state.q, state.v, state.x, state.memory, initial_report(dynamics, state.q.dtype, batch)
+    )
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
     threads = kernels_available() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
@@ -215,9 +228,10 @@ def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
     along = (*jax.tree.leaves(state), *each) if batched else ()
     states = on_auto_axes(moved, model, state, numbers, dt, along=along)
     ts = dt * jnp.arange(0, count + 1, save_every, dtype=state.q.dtype)
+    ok = all_finite(State(states.q, states.v, states.x, states.memory))
     return Trajectory(
-        ts, states.q, states.v, all_finite(states), stats={"steps": count}, x=states.x,
-        memory=states.memory,
+        ts, states.q, states.v, ok, stats={"steps": count}, x=states.x, memory=states.memory,
+        report=states.report,
     )  # fmt: skip
 
 

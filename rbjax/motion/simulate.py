@@ -30,7 +30,9 @@ from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Dynamics, Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.inputs import inputs_between
+from rbjax.motion.solver_report import warn_if_unconverged
 from rbjax.motion.term import (
+    ReportingSolver,
     check_for_robots,
     make_term,
     project_after_steps,
@@ -106,7 +108,10 @@ def simulate(
         max_steps: largest number of steps.
 
     Returns:
-        `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
+        `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`; with
+        MuJoCo's contacts `unconverged`, the number of steps whose solver of contacts did not
+        converge, and `worst_error`, their largest error as a mean over a step. Outside traced code
+        such steps warn. Solvers on Lie groups, splitting and second-order solvers do not report.
 
     Raises:
         InputError: wrong shapes or dtypes, times that do not increase, a step that is not positive
@@ -164,7 +169,7 @@ def simulate(
         return run(model, state, ts[0], elapsed, functions, how)
 
     with _only_reverse():
-        path, result, stats = with_captured(solved, *inputs, dynamics)
+        path, result, stats, report = with_captured(solved, *inputs, dynamics)
     q, failed = path.q, result != diffrax.RESULTS.successful
     ok = all_finite(path) & ~failed
     if throw and not inside_jit():
@@ -178,7 +183,9 @@ def simulate(
             "trajectory and its result; if no step helps, check that rb.mass_matrix of the state "
             "is not singular (a joint that moves no mass)",
         )
-    return Trajectory(ts, q, path.v, ok, result, stats, path.x)
+    out = Trajectory(ts, q, path.v, ok, result, stats, path.x, report=report)
+    warn_if_unconverged("simulate", out, dynamics)
+    return out
 
 
 class _How(NamedTuple):
@@ -200,7 +207,8 @@ class _How(NamedTuple):
 def _solved(
     model: Model, state: State, start: jax.Array, elapsed: jax.Array, functions: tuple, how: _How
 ) -> tuple:
-    """Solve by diffrax; return the saved states, the result and the statistics."""
+    """Solve by diffrax; return the saved states, the result, the statistics, and the report of the
+    solver of a contact law."""
     *given, dynamics = functions
     args, of_args = split_tracers(model)
 
@@ -208,15 +216,19 @@ def _solved(
         term, state = make_term(
             of_args(args), state, how.solver, Inputs(*given), of_args, dynamics, start
         )
+        solver = project_after_steps(how.solver, dynamics, of_args, start)
+        watched = isinstance(solver, ReportingSolver)
         out = diffrax.diffeqsolve(
             term,
-            solver=project_after_steps(how.solver, dynamics, of_args, start),
+            solver=solver,
             t0=elapsed[0],
             t1=elapsed[-1],
             dt0=how.dt,
             y0=state,
             args=args,
-            saveat=diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, dynamics, start)),
+            saveat=diffrax.SaveAt(
+                ts=elapsed, fn=_Saved(of_args, dynamics, start), solver_state=watched
+            ),
             stepsize_controller=how.stepsize_controller,
             adjoint=how.adjoint,
             max_steps=how.max_steps,
@@ -225,7 +237,8 @@ def _solved(
                 diffrax.TextProgressMeter() if how.progress else diffrax.NoProgressMeter()
             ),
         )
-        return out.ys, out.result, out.stats
+        report = out.solver_state[1][None] if watched else None
+        return out.ys, out.result, out.stats, report
 
     run = compile_threads(solved_from) if how.by_kernel else solved_from
     return run(state, start, elapsed, args)

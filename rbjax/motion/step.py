@@ -7,7 +7,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.inputs import Inputs, Source, inputs_at
@@ -22,6 +24,7 @@ from rbjax.motion.field import (
     with_contact,
 )
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
+from rbjax.motion.solver_report import warn_if_unconverged
 
 
 def acceleration(
@@ -124,7 +127,8 @@ def step(
             for the law of the model (`load(contacts=True)`).
 
     Returns:
-        `State` after the step.
+        `State` after the step. Its `report` is the given report and this step, or None if none was
+        given. Outside traced code a step whose solver of contacts does not converge warns.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
@@ -139,10 +143,21 @@ def step(
         (2,)
     """
     given = inputs_at("step", model, Inputs(ctrl, tau, wrenches), t, state)
-    return _step(
+    contacts = contact is not None or dynamics is not free_motion or getattr(model, "contact", None)
+    watched = contacts and not inside_jit() and isinstance(state, State) and state.report is None
+    if watched:
+        state = State(state.q, state.v, state.x, state.memory, np.zeros(2))
+    after = _step(
         model, state, given.ctrl, dt, given.tau, given.wrenches, t=t, integrator=integrator,
         dynamics=dynamics, constraints=constraints, contact=contact,
     )  # fmt: skip
+    if not watched:
+        return after
+    law = dynamics_of(
+        "step", model, with_contact("step", model, dynamics, contact), None, steps=True
+    )
+    warn_if_unconverged("step", after, law)
+    return State(after.q, after.v, after.x, after.memory)
 
 
 @algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step")
@@ -162,7 +177,7 @@ def _step(
 def with_memory(model: Model, state: State, dynamics: Any, batch: tuple[int, ...] = ()) -> State:
     """Fill the memory of a state with the initial memory of the dynamics, unless it has one."""
     if not isinstance(dynamics, VelocityDynamics):
-        return State(state.q, state.v, state.x)
+        return State(state.q, state.v, state.x, None, state.report)
     if state.memory is not None:
         return state
     memory = jnp.asarray(dynamics.initial_memory(model), state.q.dtype)

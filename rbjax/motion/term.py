@@ -27,6 +27,7 @@ from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State, Topology, spans
 from rbjax.motion.field import Dynamics, Field, free_motion, moves_stages
 from rbjax.motion.implicit import BDFSolver, StagesSolver, tableau_of
+from rbjax.motion.solver_report import reports
 from rbjax.rotations import quaternion
 from rbjax.solvers import BDF, AbstractGroup, AbstractGroupSolver, OnGroup
 from rbjax.solvers.compensated import Wrapped
@@ -59,6 +60,7 @@ class VectorField(eqx.Module):
     start: time in s at diffrax' time zero.
     tangent: whether the rate of the configuration is v, for solvers on the manifold.
     begun: time and state at the start of the step, for `stage_state`; None for the current ones.
+    reports: whether a rate has [1 if the solver did not converge, its error] as its report.
     """
 
     inputs: Inputs
@@ -67,6 +69,7 @@ class VectorField(eqx.Module):
     start: Any = None
     tangent: bool = eqx.field(static=True, default=False)
     begun: tuple[Any, State] | None = None
+    reports: bool = eqx.field(static=True, default=False)
 
     @eqx.filter_jit  # diffrax calls it in many places; trace it once
     def __call__(self, t: Any, y: State, args: Any) -> State:
@@ -76,9 +79,12 @@ class VectorField(eqx.Module):
         field = Field(model, self.dynamics)
         at = field.stage_state(t, at, *((t, at) if self.begun is None else self.begun))
         inputs = evaluated("simulate", model, self.inputs, t, at)
-        a, x = field.rates(t, at, inputs)
         rate = at.v if self.tangent else configuration_rate(model.topology, y.q, at.v)
-        return State(rate, a, x)
+        if not self.reports:
+            return State(rate, *field.rates(t, at, inputs))
+        at = State(at.q, at.v, at.x, None, jnp.zeros(2, at.q.dtype))
+        a, x, error = field.rates_and_error(t, at, inputs)
+        return State(rate, a, x, None, field.report(at, error))
 
 
 class Manifold(AbstractGroup):
@@ -176,6 +182,42 @@ class ProjectedSolver(Wrapped):
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
 
 
+class ReportingSolver(Wrapped):
+    """A solver that reports the errors of the solver of a contact law, as its own state.
+
+    The errors are integrated over each step with the weights of the stages, and only accepted
+    steps count. Steps and their error estimates stay the same.
+    """
+
+    def init(self, terms, t0, t1, y0, args):
+        inner = self.solver.init(_reporting(terms), t0, t1, _with_zeros(y0), args)
+        return inner, jnp.zeros(2, y0.q.dtype)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        inner, report = solver_state
+        y1, error, dense, inner, result = self.solver.step(
+            _reporting(terms), t0, t1, _with_zeros(y0), args, inner, made_jump
+        )
+        failed, size = jnp.abs(y1.report)
+        worst = jnp.where(failed > 0, size / (t1 - t0), 0.0)
+        added = jnp.stack([report[0] + (failed > 0), jnp.maximum(report[1], worst)])
+        error = None if error is None else _without_report(error)
+        return _without_report(y1), error, dense, (inner, jax.lax.stop_gradient(added)), result
+
+
+def _reporting(terms: Any) -> Any:
+    """Return the diffrax terms with vector fields that report the error of the contact solver."""
+    return _of_fields(terms, reports=True)
+
+
+def _with_zeros(y: State) -> State:
+    return State(y.q, y.v, y.x, None, jnp.zeros(2, y.q.dtype))
+
+
+def _without_report(y: State) -> State:
+    return State(y.q, y.v, y.x)
+
+
 def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffrax.AbstractSolver:
     """Return the diffrax solver for a dynamics: the given one, the implicit solver for a
     formulation of index 2 or 3, or the default."""
@@ -191,10 +233,15 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
 
 
 def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """Set the time and state of the start of the step in the vector fields of the terms."""
+    """Set the start (time, state) of the current step in the vector fields of `terms`."""
+    return _of_fields(terms, begun=begun)
+
+
+def _of_fields(terms: Any, **changes: Any) -> Any:
+    """Return `terms` with fields of its vector fields changed."""
 
     def of(x: Any) -> Any:
-        return dataclasses.replace(x, begun=begun) if is_field(x) else x
+        return dataclasses.replace(x, **changes) if is_field(x) else x
 
     def is_field(x: Any) -> bool:
         return isinstance(x, VectorField)
@@ -205,7 +252,10 @@ def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
 def project_after_steps(
     solver: diffrax.AbstractSolver, dynamics: Dynamics, model: Callable[[Any], Model], start: Any
 ) -> diffrax.AbstractSolver:
-    """Wrap a solver to project after each step, if the dynamics has a projection."""
+    """Wrap a solver to project after each step, if the dynamics has a projection, or to report the
+    errors of the solver of a contact law."""
+    if reports(dynamics) and not isinstance(solver, AbstractGroupSolver):
+        return ReportingSolver(solver)
     if not isinstance(dynamics, Formulation) or dynamics.projection is None:
         return solver
     return ProjectedSolver(solver, dynamics, model, start)

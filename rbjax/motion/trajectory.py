@@ -27,6 +27,9 @@ class Trajectory(eqx.Module):
     stats: counts of steps.
     x: (T, nx) or (B, T, nx), states of force elements; None if no element has a state.
     memory: (T, m) or (B, T, m), memory of the dynamics; None if it has none.
+    report: (T, 2) or (B, T, 2), of the solver of a contact law: number of steps up to each time
+        that did not converge, and their largest error. `simulate` gives one row, of the end. None
+        if the law has no solver.
     """
 
     ts: jax.Array
@@ -37,9 +40,41 @@ class Trajectory(eqx.Module):
     stats: Any = None
     x: jax.Array | None = None
     memory: jax.Array | None = None
+    report: jax.Array | None = None
+
+    @property
+    def unconverged(self) -> jax.Array:
+        """The number () or (B,) of steps whose solver of contacts did not converge."""
+        if self.report is None:
+            return jnp.zeros_like(self.ok, jnp.int32)
+        return self.report[..., -1, 0].astype(jnp.int32)
+
+    @property
+    def worst_error(self) -> jax.Array:
+        """The largest error () or (B,) of the solver of contacts in a step, in the units of its
+        tolerance. `simulate` counts only steps that did not converge."""
+        if self.report is None:
+            return jnp.zeros_like(self.ok, self.q.dtype)
+        return self.report[..., -1, 1]
+
+    def summary(self) -> str:
+        """Return the outcome in a sentence: finite values, and convergence of the solver of
+        contacts."""
+        ok, left = np.atleast_1d(np.asarray(self.ok)), np.atleast_1d(np.asarray(self.unconverged))
+        few = f"{int((~ok).sum())} of {ok.size} motions have values that are not finite"
+        out = f"{float(self.ts[-1] - self.ts[0]):.4g} s: {'finite' if ok.all() else few}"
+        if self.report is None:
+            return out
+        failed = f"did not converge in {int(left.sum())} steps of {int((left > 0).sum())} motions"
+        worst = float(np.max(np.asarray(self.worst_error)))
+        return (
+            f"{out}; the solver of contacts {failed if left.any() else 'converged in all steps'}, "
+            f"largest error {worst:.2g}"
+        )
 
     def state(self, i: int) -> State:
-        """Return the state at ts[i], for each sample of a batch."""
+        """Return the state at ts[i], for each sample of a batch. It has no report: the next motion
+        begins its own."""
         states = State(self.q, self.v, self.x, self.memory)
         return jax.tree.map(lambda x: x[..., i, :], states)
 

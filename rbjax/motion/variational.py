@@ -84,21 +84,21 @@ class VariationalMidpoint:
         extra = implicit_stiffness(model.topology, slopes, dt)
         correction = linearly_implicit_velocity(model, middle, jax.lax.stop_gradient(extra))
 
-        def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
-            """Compute the residual R(w), the force F and the rate x' at the midpoint, for a mean
-            velocity w."""
-            at = State(field.retract(q0, half * w), w, x)
-            tau, f_ext, rate = field.forces(t + half, at, u)
+        def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any, Any]:
+            """Compute the residual R(w), the force F, the rate x' and the error of the solver at
+            the midpoint, for a mean velocity w."""
+            at = State(field.retract(q0, half * w), w, x, state.memory, state.report)
+            tau, f_ext, rate, error = field.forces(t + half, at, u)
             p, dp = momentum_and_rate(model, at.q, w, tau, f_ext)
             force = with_spin(model.topology, w, p, dp)
-            return residual(model.topology, half, w, p, p0, force), force, rate
+            return residual(model.topology, half, w, p, p0, force), force, rate, error
 
         def once(at: tuple, _: Any = None) -> tuple[tuple, Any]:
             w, x, *_ = at
-            R, force, rate = evaluated(w, x)
+            R, force, rate, error = evaluated(w, x)
             dw = correction(R)
             x = None if x0 is None else x0 + half * rate
-            return (w - dw, x, force, rate, dw), None
+            return (w - dw, x, force, rate, error, dw), None
 
         at, _ = once((v0, x0))
         first = at[-1]
@@ -109,13 +109,13 @@ class VariationalMidpoint:
         else:
             again = jax.checkpoint(once, prevent_cse=False)
             at, _ = jax.lax.scan(again, at, None, length=more)
-        w, _, force, rate, last = at
+        w, _, force, rate, error, last = at
         q = field.retract(q0, dt * w)
         v = velocity_of(model, q, carried(model.topology, half, w, p0, force))
         digits = float(jnp.finfo(q.dtype).eps) ** 0.5 * (1 + largest(q0)) / dt
         kept = jnp.maximum(largest(first) / 2, LOST * largest(w))
         v = jnp.where(largest(last) > jnp.maximum(kept, digits), jnp.nan, v)
-        return State(q, v, None if x0 is None else x0 + dt * rate)
+        return State(q, v, None if x0 is None else x0 + dt * rate, *field.kept(state, error))
 
 
 variational_midpoint = VariationalMidpoint()
@@ -187,7 +187,7 @@ def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax
 
 
 def _back(y: Vec3, p: Vec3, c1: Lane, c2: Lane) -> Vec3:
-    """Rotate a vector by -y: exp(-[y]) p."""
+    """Rotate p by the rotation vector -y: exp(-[y]) p = p - c1 y x p + c2 y x (y x p)."""
     across = y.cross(p)
     return p - across * c1 + y.cross(across) * c2
 

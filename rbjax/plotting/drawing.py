@@ -147,7 +147,8 @@ class Stage:
         for collection in (self.disc, self.grid, self.shadow, self.paths, self.forces, self.solids):
             ax.add_collection(collection, autolim=False)
         ax.axis("off")
-        ax.set_aspect("equal", adjustable="datalim")
+        # a layout that changes the axis later may shrink the picture, but not cut it
+        ax.set_aspect("equal", adjustable="box")
 
     def show(self, frame: int) -> None:
         """Draw a frame, and remove the previous one."""

@@ -105,7 +105,9 @@ class HalvedSteps(abc.ABC):
         return 1e6 * fastest(lambda: self.run(name, k), SECONDS) / self.steps(k)
 
     def converge(self, name: str, k: int = 0) -> int:
-        """Halve the step, from k halvings on, until the motion has converged. Return the halvings.
+        """Halve the step until the motion has converged. Return the number of halvings.
+
+        k: number of halvings at the start.
 
         Raises:
             InputError: the motion does not converge with the largest number of steps.

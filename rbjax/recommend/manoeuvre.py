@@ -102,7 +102,8 @@ class Manoeuvre(HalvedSteps):
         return float(max(np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()))
 
     def converge_stably(self, name: str) -> int:
-        """Halve the step until the motion has converged and is stable. Return the halvings."""
+        """Halve the step until the motion has converged and is stable. Return the number of
+        halvings."""
         model = self.models[name]
         least = self._stable_halvings(model, jax.tree.map(lambda x: x[None], self.start(model)))
         while True:

@@ -179,7 +179,8 @@ class ContactSensor(FixedSensor):
     def _slots(
         self, values: dict[str, jax.Array], active: jax.Array, count: jax.Array
     ) -> list[dict[str, jax.Array]]:
-        """Return the data of each slot."""
+        """Return, for each slot, the data of the contact in it: the contacts in the order that
+        `reduce` sets."""
         before: Any = np.tri(len(active), k=-1, dtype=bool)  # whether contact j is before contact i
         if self.reduce != "none":
             key = values["dist"][:, 0]

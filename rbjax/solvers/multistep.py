@@ -95,7 +95,8 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
-        """Evaluate the current state for `begin` and `formula`."""
+        """Evaluate rate and, if necessary, Jacobian at the current state, for `begin` and
+        `formula`."""
 
     @abc.abstractmethod
     def begin(self, f: Field, h: Any, here: Start) -> Step:

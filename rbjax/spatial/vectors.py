@@ -11,6 +11,7 @@ C in P.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -151,6 +152,11 @@ class ArticulatedInertia:
     @classmethod
     def zero(cls) -> ArticulatedInertia:
         return cls(Sym3.zero(), Mat3.zero(), Sym3.zero())
+
+    @classmethod
+    def from_lanes(cls, x: Sequence[Lane]) -> ArticulatedInertia:
+        """Make an inertia from 21 lanes: J (6), H (9) and M (6)."""
+        return cls(Sym3(*x[:6]), Mat3(*x[6:15]), Sym3(*x[15:]))
 
     @classmethod
     def outer(cls, U: Force, V: Force) -> ArticulatedInertia:

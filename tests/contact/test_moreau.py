@@ -118,3 +118,86 @@ def test_bad_arguments():
     ]:
         with pytest.raises(rb.InputError, match=message):
             rb.contact.MoreauContact.of(model, **options)
+
+
+def on_a_rail(joint, axis="0 0 1", others="", tendon=""):
+    """A body of 2 kg that slides, in front of bodies that may touch."""
+    geoms = '<geom type="plane" size="0 0 1"/>'
+    body = (
+        f'<body pos="0 0 1"><joint name="a" type="slide" axis="{axis}" {joint}/>'
+        f'<geom size=".1" mass="2"/></body>'
+    )
+    return rb.load(f"<mujoco><worldbody>{geoms}{body}{others}</worldbody>{tendon}</mujoco>")
+
+
+def test_a_limit_stops_without_rebound():
+    """A fall of 0.5 m onto a lower limit: q = -g t^2 / 2, then rest, on any step."""
+    model = on_a_rail('range="-.5 .2"')
+    for dt in (1e-2, 7e-3):
+        steps = round(0.5 / dt)
+        path = rb.rollout(model, model.default_state(), None, dt, steps=steps, contact="impulse")
+        t = dt * np.arange(steps + 1)
+        np.testing.assert_allclose(path.q[:, 0], np.maximum(-G * t**2 / 2, -0.5), atol=1e-12)
+        np.testing.assert_allclose(path.v[-1], 0.0, atol=1e-12)
+        lower, upper = path.memory[-1, -7:-1].reshape(2, 3)
+        np.testing.assert_allclose(lower, [2 * G * dt, 0, 0], atol=1e-10)
+        np.testing.assert_allclose(upper, 0.0, atol=1e-12)
+
+
+def test_friction_loss_brakes_and_holds():
+    """v0^2 m / (2 f) from v0 to rest; a force below f does not move the body, above it does."""
+    model, m, f = on_a_rail('frictionloss="3"', axis="1 0 0"), 2.0, 3.0
+    state = model.default_state()
+
+    def distance(v, push=0.0, steps=110):
+        at = state.replace(v=v[None])
+        tau = jnp.array([push])
+        run = rb.rollout(model, at, None, 1e-2, tau=tau, steps=steps, contact="impulse")
+        return run.q[-1, 0]
+
+    x, slope = jax.value_and_grad(distance)(jnp.array(1.507))
+    np.testing.assert_allclose(x, 1.507**2 * m / (2 * f), atol=1e-10)
+    np.testing.assert_allclose(slope, 1.507 * m / f, atol=1e-10)
+    assert abs(distance(jnp.array(0.0), 2.99)) < 1e-13
+    np.testing.assert_allclose(distance(jnp.array(0.0), 5.0), (5 - f) / m * 1.1**2 / 2, atol=1e-10)
+
+
+def test_limits_and_friction_loss_of_tendons_and_a_contact():
+    """Two bodies on rails hang on a tendon of length a + b <= 0: one falls onto the floor, then the
+    other one falls with the friction loss of the tendon and stops at the limit."""
+    other = (
+        '<body pos="1 0 2"><joint name="b" type="slide" axis="0 0 -1"/>'
+        '<geom size=".1" mass="1"/></body>'
+    )
+    tendon = (
+        '<tendon><fixed limited="true" range="-9 .3" frictionloss="2">'
+        '<joint joint="a" coef="1"/><joint joint="b" coef="1"/></fixed></tendon>'
+    )
+    model = on_a_rail('range="-9 9"', others=other, tendon=tendon)
+    path = rb.rollout(model, model.default_state(), None, 2e-3, steps=400, contact="impulse")
+    a, b = path.q[:, 0], path.q[:, 1]
+    assert (a + b).max() < 0.3 + 1e-9
+    np.testing.assert_allclose(a[-1], -0.9, atol=1e-9)  # on the floor
+    np.testing.assert_allclose(residuals(path).max(), 0.0, atol=1e-6)
+    # both fall, a by -x and b by x, so the tendon moves at (rate of a) + (rate of b) = 0 and holds
+    np.testing.assert_allclose((a + b)[:100], 0.0, atol=1e-9)
+
+
+def test_the_limit_of_a_ball():
+    body = (
+        '<body pos="0 0 1"><joint type="ball" range="0 40"/>'
+        '<geom type="box" size=".2 .3 .25" pos="0 0 -.3" mass="1"/></body>'
+    )
+    model = rb.load(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    state = model.default_state().replace(v=jnp.array([4.0, 1.0, 0.5]))
+    path = rb.rollout(model, state, None, 2e-3, steps=200, contact="impulse")
+    angle = 2 * np.arccos(np.clip(np.abs(path.q[:, 0]), 0, 1))
+    assert np.degrees(angle).max() < 40 + 0.03  # the limit curves: h^2 over the correction
+    assert np.degrees(angle).max() > 39.9
+
+
+def test_a_model_without_rows_is_named():
+    body = '<body pos="0 0 1"><joint type="slide"/><geom size=".1" mass="2"/></body>'
+    model = rb.load(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(rb.InputError, match="no two geoms"):
+        rb.contact.MoreauContact.of(model)

@@ -16,7 +16,6 @@ def arm7() -> rb.Model:
     return arm.replace(joints=arm.joints.replace(range=RANGES))
 
 
-
 #: four hinges, of which three move the tip's position in a redundant way; springs, dampers,
 #: armature; motors with gears, and a servo
 ARM = """

@@ -139,7 +139,30 @@ def test_with_constraints_a_search_at_rest_gets_new_multipliers(
     assert bool(found.new_multipliers) == renewed
     if renewed:
         assert found.search.reg == LEAST and found.search.stalled == 0
-        assert found.search.violation_before == violation
+        # a softer penalty has a violation of its own
+        assert found.search.violation_before == (jnp.inf if after < penalty else violation)
+
+
+@pytest.mark.parametrize(("dtype", "violation", "status", "after"), [
+    ("float32", 3e-6, GOING, 1e7), ("float32", 3e-5, STUCK, 1e6), ("float64", 3e-6, STUCK, 1e6),
+])  # fmt: skip
+def test_a_violation_below_rounding_gets_a_harder_penalty(dtype, violation, status, after):
+    """penalty c^2 / 2 is less than the rounding error of the cost, so the merit function cannot
+    reduce the violation c."""
+    with jax.enable_x64(dtype == "float64"):
+        number = jnp.asarray
+        rule = StoppingRule(number(1e-9), number(1e-6), number(100), number(1.0))
+        now = initial_search_state(rule, True, number(1e6))._replace(
+            feasible=number(True), reg=number(MOST), violation_before=number(violation)
+        )
+        n = len(LENGTHS)
+        values = IterationValues(
+            number(9.0), number(0.0), number(violation), number(-1.0), number(1.0), number(1.0),
+            number(True), jnp.full(n, 9.0), jnp.full(n, violation), None,
+        )  # fmt: skip
+        none = lambda values, lengths: (lengths > 1, number(0.5))  # noqa: E731
+        found = decide(none, True, True, now, rule, values)
+        assert (int(found.search.status), float(found.search.penalty)) == (status, after)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

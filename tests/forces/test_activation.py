@@ -24,6 +24,33 @@ def test_the_exact_filter_is_the_solution():
     np.testing.assert_allclose(one, two, atol=F64_ROUNDING)
 
 
+@pytest.mark.parametrize("kind", ["filter", "filterexact"])
+def test_a_filter_in_rk4(kind):
+    """Both filters follow u + (a_0 - u) exp(-t / T) to order 4. MuJoCo equals it for `filter`; for
+    `filterexact` it lags twice: a step covers (1 - exp(-z)) (1 - exp(-z)) / z of u - a, z = h / T,
+    but for the error of order 4."""
+    body = '<body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".2 0 0"/></body>'
+    drive = f'<general joint="a" dyntype="{kind}" dynprm=".05"/>'
+    option = '<option timestep=".01" integrator="RK4"/>'
+    m = mujoco.MjModel.from_xml_string(
+        f"<mujoco>{option}<worldbody>{body}</worldbody><actuator>{drive}</actuator></mujoco>"
+    )
+    d, steps, z = mujoco.MjData(m), 3, 0.01 / 0.05
+    d.ctrl[:], d.act[:] = 0.9, 0.3
+    model = rb.load(m)
+    start = model.default_state().replace(x=jnp.asarray(d.act))
+    path = rb.rollout(model, start, jnp.asarray(d.ctrl), steps=steps, integrator="rk4")
+    for _ in range(steps):
+        mujoco.mj_step(m, d)
+    ours, theirs = (
+        0.9 - 0.6 * (1 - f) ** steps for f in (1 - np.exp(-z), (1 - np.exp(-z)) ** 2 / z)
+    )
+    np.testing.assert_allclose(path.x[-1], ours, atol=1e-5)
+    np.testing.assert_allclose(d.act, ours if kind == "filter" else theirs, atol=1e-5)
+    if kind == "filter":
+        np.testing.assert_allclose(path.x[-1], d.act, atol=F64_ROUNDING)
+
+
 def test_a_step_ends_within_the_range():
     winding = Integrator(jnp.array([-0.1, 0.2]))
     assert winding.advanced(9.0, jnp.array(0.0), 0.1) == 0.2

@@ -61,7 +61,7 @@ ELSEWHERE: dict[str, set[str]] = {
     "plotting": {"animate", "animate_top_view", "bare", "draw", "draw_solids", "poses", "skeleton",
                  "solids", "strobe", "time_plot", "top_view"},
     "validation": {"compare"},
-    "recommend": {"control_method", "fidelity", "formulation", "solver"},
+    "recommend": {"contact_law", "control_method", "fidelity", "formulation", "solver"},
     "demo": {"demo"},
     # within rbjax: arithmetic on single numbers, parts of a model, the compiler
     "lanes": {"add", "as_arrays", "batch_first", "batch_last", "elimination_order",

@@ -149,3 +149,31 @@ def test_runs_with_numbers_of_their_own():
     s2 = np.sum(np.square(r)) / (2 * M - 4)
     want = np.linalg.inv(whole.T @ whole) * s2
     np.testing.assert_allclose(said.estimates.covariance, want, rtol=1e-9)
+
+
+def test_a_basis_stands_for_the_expanded_derivatives():
+    """The same covariance from derivatives along two directions as from those by three unknowns,
+    also with a known factor, for coloured and for clipped residuals."""
+    rng = np.random.default_rng(3)
+    bases = [rng.normal(size=(2, 3)) for _ in range(2)]
+    slopes = [rng.normal(size=(M, 2)) for _ in range(2)]
+    which, x = np.arange(3), np.zeros(3)
+    for noise, huber in [(coloured, False), (outliers, True), (lambda r: r.normal(size=M), False)]:
+        said = []
+        r = [noise(rng) for _ in range(2)]
+        for whole in (True, False):
+            made = []
+            for c in range(2):
+                [column] = columns(r[c], slopes[c] @ bases[c] if whole else slopes[c], huber)
+                rows = column.runs[0]._replace(which=which)
+                rows = rows if whole else rows._replace(basis=bases[c])
+                made.append(Column(f"y[{c}]", [rows], True))
+            said.append(fit_statistics(NAMES, x, made))
+        J = np.concatenate([s @ b for s, b in zip(slopes, bases, strict=True)])
+        said.append(fit_statistics(NAMES, x, made, factor=np.linalg.qr(J, mode="r")))
+        assert said[0].white != (noise is coloured)
+        for other in said[1:]:
+            np.testing.assert_allclose(
+                other.estimates.covariance, said[0].estimates.covariance, rtol=1e-9
+            )
+            assert other.estimates.dof == pytest.approx(said[0].estimates.dof)

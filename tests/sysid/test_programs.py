@@ -7,6 +7,7 @@ import rbjax as rb
 from rbjax.sysid import Channel, Derived, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.programs import get_cached
+from rbjax.sysid.simulation.simulation_error import SimulationError
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")
@@ -72,3 +73,33 @@ def test_what_is_one_program():
     one = of(1.0, indexed)  # arrays are compared entry by entry
     assert of(2.0, {"mass": Unknown("bodies.mass", np.array([0]))}) is one
     assert of(1.0, {"mass": Unknown("bodies.mass", slice(0, 1))}) is not one
+
+
+def test_statistics_evaluate_no_motion(monkeypatch):
+    """Each evaluation of the Jacobian belongs to a step of the search: the covariance, also of
+    coloured residuals, uses the last one."""
+    data, asked = seen(1.2, 1), []
+    t, q = data["q"].t, np.asarray(data["q"].values)
+    wave = q + 1e-3 * np.sin(0.7 * np.arange(61))[:, None]  # an effect that the model lacks
+    data = Recording("run", {"q": Channel(t, wave), "ctrl": data["ctrl"]})
+    grid = Grid(T)
+    identify(heavy(0.7), data, MASS, grid=grid, restarts=0)
+    steps = SimulationError.triangle
+    evaluate = SimulationError._seeded_slopes
+
+    def triangle(self, x):
+        asked.append("step")
+        return steps(self, x)
+
+    def seeded(self, x):
+        before = self._last
+        found = evaluate(self, x)
+        if self._last is not before:
+            asked.append("evaluation")
+        return found
+
+    monkeypatch.setattr(SimulationError, "triangle", triangle)
+    monkeypatch.setattr(SimulationError, "_seeded_slopes", seeded)
+    found = identify(heavy(0.8), data, MASS, grid=grid, restarts=0)
+    assert not found.statistics.white and found.success
+    assert asked.count("evaluation") <= asked.count("step")

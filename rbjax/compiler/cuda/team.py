@@ -131,7 +131,8 @@ class TeamPrinter(Printer):
                 yield from super()._lines(statement)
 
     def _turns(self, loop: ir.Loop) -> Iterator[str]:
-        """Print a team loop: the iterations of this thread."""
+        """Print a loop over iterations that the threads of a team share: each thread runs every
+        n-th one."""
         i, count, team = self.value(loop.counter), loop.count, self.team
         self._early = loop.prefetch
         body = list(self.lines(loop.body))

@@ -165,10 +165,10 @@ def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
 def _trace_dependent(
     f, avals: Sequence[ShapedArray], first: int, plain: int, may: Sequence[bool]
 ) -> tuple[ClosedJaxpr, list[bool]]:
-    """Trace f without those results that are zero derivatives.
+    """Trace f to a jaxpr, without the results that are always zero derivatives.
 
-    A result after the first `plain` is dropped if it depends on no input from `first` on. Also
-    returns `may` with False for each dropped result.
+    The first `plain` results are kept. Each other result is kept if it depends on an input from
+    index `first` on. Also return the flags `may`, with False for each dropped result.
     """
     closed = jax.make_jaxpr(f)(
         *(jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in avals)
@@ -406,7 +406,7 @@ def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
-    """Return a copy of the barrier `eqn` for other values."""
+    """Return a copy of the optimization barrier `eqn` for other values."""
     return eqn.replace(outvars=[Var(a.aval) for a in some])
 
 

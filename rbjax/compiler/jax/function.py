@@ -131,8 +131,8 @@ def with_multi_kernel(f: Callable, kernels: Callable, max_batch: int) -> Callabl
 def map_threads(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> list[jax.Array]:
     """Map f over the slices of xs along `axes`, with one thread for each slice of each sample.
 
-    axes: for each array of xs, its mapped axis. In the results, this axis is the last. All slices
-    share the values that f closes over.
+    axes: the mapped axis of each array of xs. It is the last axis of the results. All slices share
+        the values that f closes over.
     """
     size = xs[0].shape[axes[0]]
     one = [

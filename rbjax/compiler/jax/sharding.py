@@ -100,7 +100,8 @@ def _rule(
     levels: int, ins: Sequence[Axes], outs: Sequence[Axes],
     ranks: tuple[Sequence[int], Sequence[int]],
 ) -> str:  # fmt: skip
-    """Return Shardy's rule, with one factor per axis of the batch and one per other axis."""
+    """Return Shardy's sharding rule of a call, with one factor per axis of the batch and per other
+    axis."""
     others = (f"{a}{b}" for a in string.ascii_lowercase for b in range(10_000))
     names = [f"B{level}" for level in range(levels)]
 

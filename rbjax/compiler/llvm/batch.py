@@ -172,7 +172,9 @@ class _Frame:
         return names
 
     def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
-        """Return the arguments of the call for the samples from %b on, and the lines after it."""
+        """Return the pointers to pass to the function of one vector of samples, the first of which
+        is %b. Also return the lines that follow the call, which copy tiles of results back to
+        memory."""
         lines, batch, out = self.lines, self.program.batch, []
         after = Lines(lines)
         for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):

@@ -106,7 +106,8 @@ class Writer:
     # ---------------------------------------------------------------- functions
 
     def parts(self, name: str, program: Written, takes: list[str]) -> None:
-        """Prepare the frame of a program if the program must be split into functions."""
+        """Prepare the split of a long program into functions, if necessary. The functions share a
+        frame: the memory of the variables and arrays that several of them use."""
         cuts = self.cuts(program)
         if cuts is None:
             return
@@ -147,23 +148,26 @@ class Writer:
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
     def shares(self, x: ir.Name) -> bool:
-        """Return whether a variable or an array is in the frame that all functions share."""
+        """Return whether a variable or array is in the frame, the memory shared by functions."""
         return self.frame is not None and x in self.frame.places
 
     def framed(self, x: ir.Name, lines: list[str] | None = None) -> str:
-        """Emit the address of a variable or an array in the frame."""
+        """Emit the address of a variable or array in the frame, the memory that all functions
+        share."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
         lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
         return name
 
     def keep(self, x: ir.Var) -> None:
-        """Emit the store of a new value in the frame, if other functions read it."""
+        """Emit the store of a new value to the shared frame, if other functions of the program read
+        it."""
         if self.shares(x):
             self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
 
     def recall(self, x: ir.Var) -> str:
-        """Emit the load of a value that another function has stored in the frame.
+        """Emit the load of a value that another function of the program has stored in the shared
+        frame.
 
         A function loads a value once, but the main function loads it at each use.
         """

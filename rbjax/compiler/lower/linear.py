@@ -158,7 +158,10 @@ def _looped(
 
 
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
-    """Copy y so that the entries that a row of sums reads are contiguous."""
+    """Copy y so that its free axes are last in memory, and a row of sums reads contiguous entries.
+
+    nb: number of batch axes of y. ny: number of its free axes, which follow.
+    """
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
     rows = arrays.transposed(y, order)
     assert isinstance(rows, View)

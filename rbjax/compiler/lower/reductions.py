@@ -240,7 +240,11 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View
 
 
 def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> View:
-    """Emit f(x with `axis` last, result, *index) for each index of the other axes."""
+    """Reduce an axis of x by loops in memory, and return the results as a local array.
+
+    f: function (x with `axis` last, result, *index) that emits the reduction at an index of the
+        other axes.
+    """
     rest = [k for k in range(x.ndim) if k != axis]
     moved = x.transposed([*rest, axis])
     shape = moved.shape[:-1]

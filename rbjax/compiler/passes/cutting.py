@@ -89,8 +89,8 @@ def split_block(block: ir.Block, branches: bool) -> Cuts | None:
 def _pieces(
     statements: list[ir.Statement], sizes: list[int]
 ) -> Iterator[tuple[bool, list[ir.Statement]]]:
-    """Yield (statements, flag): pieces of about `EACH` statements (True), or one longer statement
-    (False)."""
+    """Split statements into pieces of about `EACH` operations. Yield (flag, statements) of each
+    piece. The flag is False for a single longer statement, and for a short last piece."""
     piece: list[ir.Statement] = []
     length = 0
     for statement, n in zip(statements, sizes, strict=True):

@@ -47,7 +47,8 @@ class Pending:
         self.spread.clear()
 
     def needs_no_barrier(self, s: ir.Statement) -> bool:
-        """Return whether a leaf statement or a team loop needs no barrier before it."""
+        """Return whether a statement without inner blocks, or a team loop, needs no barrier before
+        it."""
         match s:
             case ir.Load(array=array):
                 return array not in self.spread

@@ -278,7 +278,7 @@ class ClusterTree:
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Sweep outward: return the accelerations of all dofs.
+        """Run the outward sweep. Return the accelerations of all dofs.
 
         u are the joint forces that the inward sweep leaves, l the multipliers of the clusters. l is
         corrected for the accelerations of the parents.

@@ -41,7 +41,7 @@ from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
-from rbjax.forces.impedance import impedance, reference, regularisation
+from rbjax.forces.impedance import end_of_step, impedance, reference, regularisation
 from rbjax.lanes import Lane, inner, is_literal, sub
 from rbjax.lanes.arrays import matvec, pack
 from rbjax.model import Model, State
@@ -128,11 +128,14 @@ class Soft(Constraint):
         return self.of.rows(context)
 
     def soft_terms(
-        self, rows: Sequence[Row], dtype: Any, dt: Any = 0.0, *, refsafe: bool = False
-    ) -> tuple[list[Lane], list[Lane]]:
-        """Compute R and the right-hand side of the soft row equations g'' + R f = -b g' - d k g.
+        self, rows: Sequence[Row], dtype: Any, dt: Any = 0.0,
+        *, refsafe: bool = False, at_the_end: bool = False,
+    ) -> tuple[list[Lane], list[Lane], list[Lane]]:  # fmt: skip
+        """Compute R, the right-hand side, and the divisor F of the soft row equations
+        g'' / F + R f = -b g' - d k g. F is 1 unless they hold at the end of a step.
 
         refsafe: whether the time constant is at least two steps dt.
+        at_the_end: whether the spring and the damper of a row act at the end of a step.
         """
         own = self.solref, self.solimp, self.weight
         solref, solimp, weight = (numbers(x, dtype) for x in own)
@@ -142,7 +145,13 @@ class Soft(Constraint):
             g = row.residual
             return reference(g, row.rate, d, solref, solimp, dt, refsafe=refsafe)
 
-        return [regularisation(d, w) for w in weight], [right_hand_side(row) for row in rows]
+        if at_the_end:
+            found = [end_of_step(d, w, solref, solimp, dt) for w in weight]
+            pairs = zip(rows, found, strict=True)
+            right = [x.reference(row.residual, row.rate) for row, x in pairs]
+            return [x.R for x in found], right, [x.factor for x in found]
+        right = [right_hand_side(row) for row in rows]
+        return [regularisation(d, w) for w in weight], right, [1.0] * len(right)
 
 
 def is_soft(model: Model) -> bool:
@@ -174,7 +183,7 @@ def regularizer_and_residual(
     for constraint in context.model.constraints:
         at = slice(len(R), len(R) + constraint.size)
         if isinstance(constraint, Soft):
-            own, right = constraint.soft_terms(rows[at], a.dtype)
+            own, right, _ = constraint.soft_terms(rows[at], a.dtype)
             R += own
             bias = [row.acceleration for row in rows[at]]
             left = bias if constraint.bias else list(without_bias[at])

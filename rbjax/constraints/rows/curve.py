@@ -158,7 +158,8 @@ def _nearest(c: Callable) -> Callable:
     """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return F(x, s), whose root is the nearest parameter s, and |c'(s)|^2 of the curve."""
+        """Return F(x, s) and |c'(s)|^2. F is zero at the parameter s of the curve's point nearest
+        to x."""
         point, slope = _with_slope(lambda s: _curve(c, numbers, s), s)
         return _inner(x - point, slope), _inner(slope, slope)
 

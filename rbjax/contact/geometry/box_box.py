@@ -65,7 +65,7 @@ def box_box(one: Shape, other: Shape, reach: Lane) -> list[Contact]:
 
 
 def _matrix(shape: Shape) -> jax.Array:
-    """Return R of a shape as an array (3, 3)."""
+    """Return the rotation of a shape as an array (3, 3)."""
     return jnp.stack([jnp.asarray(x) for x in shape.R]).reshape(3, 3)
 
 
@@ -82,7 +82,10 @@ def _best_edge(separation: jax.Array, on_face: jax.Array) -> tuple[jax.Array, ja
 def _edge_midpoint(
     R: jax.Array, p: jax.Array, s: jax.Array, axis: jax.Array, edge: jax.Array
 ) -> jax.Array:
-    """Return the midpoint between the nearest points of two edges."""
+    """Return the midpoint between the nearest points of two box edges.
+
+    axis: direction of separation. edge: 3 i + j for edge directions i and j of the boxes.
+    """
     i, j = edge // 3, edge % 3
     points, along = [], []
     for k, (which, sign) in enumerate(((i, 1.0), (j, -1.0))):
@@ -107,7 +110,11 @@ def _clamped(x: jax.Array, limit: jax.Array) -> jax.Array:
 def _face_contacts(
     R: jax.Array, p: jax.Array, s: jax.Array, normal: jax.Array, face: jax.Array, reach: Lane
 ) -> tuple[jax.Array, ...]:
-    """Return distances, positions, normals and existence of the vertices of the clipped face."""
+    """Clip the face of one box that faces a face of the other. Return distances, positions, normals
+    and existence of the vertices.
+
+    face: index of the reference face's axis, 0 to 2 of the first box and 3 to 5 of the second.
+    """
     second = face >= 3
     k = face % 3
     ref, inc = jnp.where(second, 1, 0), jnp.where(second, 0, 1)
@@ -139,8 +146,10 @@ def _face_contacts(
 
 
 def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Clip a polygon: return the part in which a linear function, given at its vertices, is
-    positive."""
+    """Clip a polygon to the half-space inside >= 0. Return its vertices and their number.
+
+    inside: a linear function at the vertices. count: number of vertices.
+    """
     index = jnp.arange(VERTICES)
     following = jnp.where(index + 1 < count, index + 1, 0) % VERTICES
     after, f, g = polygon[following], inside, inside[following]
@@ -157,7 +166,7 @@ def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.
 
 
 def _repeated(polygon: jax.Array, count: jax.Array, least: jax.Array) -> jax.Array:
-    """Return a mask of the vertices that coincide with an earlier vertex."""
+    """Return a mask of the vertices that are nearer than `least` to an earlier vertex."""
     gap = jnp.linalg.norm(polygon[:, None, :2] - polygon[None, :, :2], axis=-1)
     index = jnp.arange(VERTICES)
     earlier = (index[None] < index[:, None]) & (index[None] < count)

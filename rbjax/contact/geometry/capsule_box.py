@@ -108,10 +108,8 @@ def _nearest(center: Vec3, h: Vec3, size: Vec3) -> Nearest:
 
 
 def _end(point: Vec3, size: Vec3) -> tuple[Lane, Vec3, Lane]:
-    """Return the squared distance of a point and a box, and whether the point is beyond it.
-
-    The second value has a flag for each axis. The third is whether at most one flag is true.
-    """
+    """Return the squared distance of a point from a box, a flag for each axis whether the point is
+    outside of the slab of the box, and whether at most one flag is true."""
     gaps = Vec3(*(jnp.maximum(jnp.abs(x) - s, 0.0) for x, s in zip(point, size, strict=True)))
     beyond = Vec3(*(gap > 0 for gap in gaps))
     x, y, z = beyond
@@ -150,7 +148,7 @@ def _edge(
 
 
 def _second(near: Nearest, center: Vec3, h: Vec3, size: Vec3) -> tuple[Lane, Lane]:
-    """Return the second point of the segment, and whether there is one."""
+    """Return the coordinate of the second contact point on the segment, and whether it exists."""
     # whether the segment in its direction enters the slab of the box along each axis
     into = [(x > 0) != (sign > 0) for x, sign in zip(h, near.corner, strict=True)]
     across = [2 * _ratio(s, jnp.abs(x)) for s, x in zip(size, h, strict=True)]

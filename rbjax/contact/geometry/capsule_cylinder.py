@@ -49,8 +49,8 @@ def capsule_cylinder(capsule: Shape, cylinder: Shape, reach: Lane) -> list[Conta
 
 
 def _towards(p: Vec3, r: Lane, h: Lane) -> tuple[Vec3, Vec3]:
-    """Return the vector from the nearest point of a cylinder to a point, and its outward
-    direction at the nearest point of the surface."""
+    """Return the vector from the nearest point of a cylinder to p, and the unit outward normal
+    there."""
     square = p[0] * p[0] + p[1] * p[1]
     away = square > r * r
     rho = jnp.sqrt(jnp.where(away, square, 1.0))
@@ -61,7 +61,10 @@ def _towards(p: Vec3, r: Lane, h: Lane) -> tuple[Vec3, Vec3]:
 
 
 def _at(p: Vec3, r: Lane, h: Lane, R: Lane) -> tuple[Lane, Vec3, Vec3]:
-    """Return distance, outward normal and center of a ball about a point outside of a cylinder."""
+    """Return distance, outward normal and center of the contact of a ball about p with a cylinder.
+
+    p is outside of the cylinder, which has radius r and half-length h. R: radius of the ball.
+    """
     gap, outward = _towards(p, r, h)
     return gap.dot(outward) - R, outward, p
 
@@ -99,7 +102,8 @@ def _nearest(c: Vec3, u: Vec3, r: Lane, h: Lane, s: Lane) -> Lane:
 
 
 def _over_end(c: Vec3, u: Vec3, r: Lane, s: Lane) -> tuple[Lane, Lane]:
-    """Return the part of a segment within the radius of a cylinder, or an empty interval."""
+    """Return the interval of the coordinate along a segment in which it is within the radius r of
+    the axis of a cylinder. The interval is empty, (0, 0), if there is none."""
     A = u[0] * u[0] + u[1] * u[1]
     B, C = c[0] * u[0] + c[1] * u[1], c[0] * c[0] + c[1] * c[1] - r * r
     inclined = A > TINY
@@ -112,7 +116,10 @@ def _over_end(c: Vec3, u: Vec3, r: Lane, s: Lane) -> tuple[Lane, Lane]:
 
 
 def _leaving(c: Vec3, u: Vec3, r: Lane, h: Lane, R: Lane, s: Lane) -> tuple[Lane, Vec3, Vec3]:
-    """Return distance, outward normal and deepest point of a segment that enters a cylinder."""
+    """Return distance, outward normal and deepest point of a capsule whose axis enters a cylinder.
+
+    c, u, s: center, direction and half-length of the axis. R: radius of the capsule.
+    """
     side = jnp.where(c[2] < 0, -1.0, 1.0)
     t = jnp.where(side * u[2] > 0, -s, s)
     through_end = side * (c + u * t)[2] - h, Vec3(0.0, 0.0, side), c + u * t

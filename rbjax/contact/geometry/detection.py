@@ -175,7 +175,7 @@ def _columns(
 
 
 def _stacked(vectors: Sequence[Vec3], dtype: Any) -> Vec3:
-    """Return n vectors as one vector of lanes (n,)."""
+    """Stack n vectors into one vector whose lanes are arrays (n,)."""
     return Vec3(*(jnp.stack([jnp.asarray(v[i], dtype) for v in vectors]) for i in range(3)))
 
 

@@ -60,7 +60,8 @@ def _ball(field: Shape, center: Vec3, radius: Lane, reach: Lane) -> Contact:
 
 
 def _nearest(heights: jax.Array, size: Vec3, c: Vec3) -> tuple[Lane, Vec3]:
-    """Return the signed distance of a point and a surface, and the direction in which it grows."""
+    """Return the signed distance of a point from the surface, and the direction in which it
+    increases."""
     rows, columns = heights.shape
     dx, dy = 2 * size[0] / (columns - 1), 2 * size[1] / (rows - 1)
     column, row = _cell((c[0] + size[0]) / dx, columns), _cell((c[1] + size[1]) / dy, rows)
@@ -98,12 +99,12 @@ _CELL = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 def _cell(x: Lane, points: int) -> jax.Array:
-    """Return the index of the cell of a coordinate, in cells."""
+    """Return the index of the cell of a grid that contains a coordinate x, in cell widths."""
     return jnp.clip(jnp.floor(x), 0, points - 2).astype(jnp.int32)
 
 
 def _triangles(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and columns of the corners (n, 3) of all triangles of a window."""
+    """Return the row and column indices (n, 3) of the corners of all triangles of a grid window."""
     corners = []
     for i, j in product(range(rows - 1), range(columns - 1)):
         a, b, c, d = ((i + di, j + dj) for di, dj in _CELL)

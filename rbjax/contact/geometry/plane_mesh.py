@@ -38,6 +38,6 @@ def plane_mesh(plane: Shape, mesh: Shape, reach: Lane) -> list[Contact]:
 
 
 def _along(rows: jnp.ndarray, direction: Vec3) -> jnp.ndarray:
-    """Return the component of each row in a direction."""
+    """Return the component of each row (n, 3) along a direction."""
     x, y, z = direction
     return rows[:, 0] * x + rows[:, 1] * y + rows[:, 2] * z

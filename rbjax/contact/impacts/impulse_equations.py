@@ -1,8 +1,8 @@
 """Impulses p of contacts that satisfy Signorini's and Coulomb's conditions together.
 
-    w = u + D p,   0 <= p_n  _|_  w_n - b >= 0,   |p_t| <= mu p_n,   p_t against w_t if w_t != 0
+    w = u + D p,   0 <= p_n  _|_  w_n - b >= 0,   |p_t| <= mu p_n + c,   p_t against w_t if w_t != 0
 D is the Delassus matrix, u the relative velocity without impulses, b the least normal velocity
-afterwards. mu = 0 is frictionless; mu = inf sticks.
+afterwards. mu = 0 is frictionless; mu = inf sticks. c is dry friction without a normal impulse.
 
 Sweeps of projected Gauss-Seidel visit the contacts one by one, the normal impulse first. The
 residual is the natural map, in m/s: the change of w that a projection step would make. Its Newton
@@ -31,6 +31,7 @@ class ImpulseProblem(NamedTuple):
         b: (n,) least normal velocities afterwards.
         mu: (n,) friction coefficients.
         active: (n,) contacts that may have an impulse.
+        dry: (n,) or (), c.
     """
 
     D: jax.Array
@@ -38,6 +39,12 @@ class ImpulseProblem(NamedTuple):
     b: jax.Array
     mu: jax.Array
     active: jax.Array
+    dry: Any = 0.0
+
+    def friction(self, normal: jax.Array) -> jax.Array:
+        """Compute the largest friction impulses (n,) at normal impulses (n,). An infinite
+        coefficient counts as 0."""
+        return jnp.where(jnp.isinf(self.mu), 0, self.mu) * normal + self.dry
 
 
 def sweep_impulses(problem: ImpulseProblem, p: jax.Array, sweeps: int) -> jax.Array:
@@ -45,9 +52,10 @@ def sweep_impulses(problem: ImpulseProblem, p: jax.Array, sweeps: int) -> jax.Ar
     n = len(p)
     if not n:
         return p
-    D, u, b, mu, active = problem
+    D, u, b, mu, active, _ = problem
     own, tangential = _scales(problem)
-    limit = jnp.where(jnp.isinf(mu), 0, mu)
+    share = jnp.where(jnp.isinf(mu), 0, mu)
+    dry = jnp.broadcast_to(jnp.asarray(problem.dry, p.dtype), b.shape)
 
     def contact(i: Any, p: jax.Array) -> jax.Array:
         row = D[i]
@@ -56,7 +64,7 @@ def sweep_impulses(problem: ImpulseProblem, p: jax.Array, sweeps: int) -> jax.Ar
         normal = jnp.where(active[i], normal, 0)
         w = w[1:] + row[1:, i, 0] * (normal - p[i, 0])
         moved = p[i, 1:] - w / tangential[i]
-        disc = _on_disc(moved, limit[i] * normal)
+        disc = _on_disc(moved, share[i] * normal + dry[i])
         stuck = jnp.isinf(mu[i]) & active[i]
         return p.at[i].set(jnp.concatenate([normal[None], jnp.where(stuck, moved, disc)]))
 
@@ -70,14 +78,13 @@ def sweep_impulses(problem: ImpulseProblem, p: jax.Array, sweeps: int) -> jax.Ar
 
 def natural_map(problem: ImpulseProblem, p: jax.Array) -> jax.Array:
     """Return the residual (n, 3) in m/s, zero at a solution."""
-    D, u, b, mu, active = problem
+    D, u, b, mu, active, _ = problem
     own, tangential = _scales(problem)
     w = u + (D * p).sum((-2, -1))
     normal = jnp.where(active, jnp.maximum(p[:, 0] - (w[:, 0] - b) / own, 0), 0)
     moved = p[:, 1:] - w[:, 1:] / tangential[:, None]
     stuck = (jnp.isinf(mu) & active)[:, None]
-    limit = jnp.where(jnp.isinf(mu), 0, mu) * normal
-    tangent = jnp.where(stuck, moved, jax.vmap(_on_disc)(moved, limit))
+    tangent = jnp.where(stuck, moved, jax.vmap(_on_disc)(moved, problem.friction(normal)))
     scales = jnp.stack([own, tangential, tangential], -1)
     return scales * (p - jnp.concatenate([normal[:, None], tangent], -1))
 
@@ -116,7 +123,7 @@ def solve_impulses(
 
 
 def _scales(problem: ImpulseProblem) -> tuple[jax.Array, jax.Array]:
-    """Return the normal diagonal of D and a bound of its tangential block, per contact."""
+    """Return the normal diagonal entry of D and a bound of its tangential block, per contact."""
     n = len(problem.b)
     block = (problem.D * jnp.eye(n, dtype=problem.D.dtype)[:, None, :, None]).sum(2)
     normal = block[:, 0, 0]
@@ -126,7 +133,7 @@ def _scales(problem: ImpulseProblem) -> tuple[jax.Array, jax.Array]:
 
 
 def _on_disc(x: jax.Array, radius: jax.Array) -> jax.Array:
-    """Return the point of a disc about zero that is nearest to x (2,)."""
+    """Project x (2,) onto a disc about zero."""
     square = (x * x).sum()
     outside = square > radius * radius
     length = jnp.sqrt(jnp.where(outside, square, 1))

@@ -193,14 +193,23 @@ def impact(
 
 
 def impact_problem(
-    model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any
-) -> tuple[jax.Array, ImpulseProblem, jax.Array]:
-    """Return J (n, 3, nv), the impulse problem with b = 0 of the contacts that exist, and
-    Y = W J^T (nv, 3 n)."""
-    J = contact_jacobian(model, q, contacts)
-    n, nv = len(contacts.geoms), model.nv
+    model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any,
+    others: jax.Array | None = None,
+) -> tuple[jax.Array, ImpulseProblem, jax.Array]:  # fmt: skip
+    """Return the contact Jacobian J (n, 3, nv), the impulse problem without restitution, and W J^T.
+
+    W is the inverse mass matrix of the constrained model, so that W J^T (nv, 3 n) is the change of
+    the velocity by unit impulses. `others` are rows (m, 3, nv) that follow those of the contacts;
+    then n includes m, and they are active and frictionless.
+    """
+    J, exists = contact_jacobian(model, q, contacts), contacts.exists
+    if others is not None:
+        J = jnp.concatenate([J, others])
+        exists = jnp.concatenate([exists, jnp.ones(len(others), bool)])
+        mu = jnp.concatenate([mu, jnp.zeros(len(others), mu.dtype)])
+    n, nv = len(J), model.nv
     rows = J.reshape(3 * n, nv)
     Y = matmat(constrained_inverse_inertia(model, q, t), matrix_transpose(rows))
     D = matmat(rows, Y).reshape(n, 3, n, 3)
     u = matvec(rows, v).reshape(n, 3)
-    return J, ImpulseProblem(D, u, jnp.zeros(n, v.dtype), mu, contacts.exists), Y
+    return J, ImpulseProblem(D, u, jnp.zeros(n, v.dtype), mu, exists), Y

@@ -2,13 +2,13 @@
 
     v+ = v + h a_free + W J^T p,    p by `impulse_equations` with u = J (v + h a_free)
     q+ = q (+) h w,   w = v + h a_free / 2 + W J^T r,   r the impulses that move the bodies
-A contact is active if it would close within the step. Its normal velocity after the step is at
-least the velocity by Newton's restitution at the time of impact, or zero. A second problem, of the
-mean velocity w, places the contact at its distance after the rebound, or at zero, and removes the
-share c of a penetration. Friction of a lasting contact is constant over the step. So free fall and
-slides with constant forces have no error, and the derivatives of an impact follow from its
-saltation matrix (`time_of_impact`). Accumulation points and many contacts at once need no events;
-the order is 1.
+A contact or limit is active if it would close within the step. Its normal velocity after the step
+is at least the velocity by Newton's restitution at the time of impact, or zero. A second problem,
+of the mean velocity w, places the contact at its distance after the rebound, or at zero, and
+removes the share c of a penetration. Friction of a lasting contact is constant over the step. So
+free fall and slides with constant forces have no error, and the derivatives of an impact follow
+from its saltation matrix (`time_of_impact`). Accumulation points and many contacts at once need no
+events; the order is 1.
 
 Source: Moreau, *Unilateral contact and dry friction in finite freedom dynamics*, 1988; Jean, *The
 non-smooth contact dynamics method*, 1999; Stewart & Trinkle 1996.
@@ -27,6 +27,7 @@ from rbjax.constraints.formulation import formulation_of
 from rbjax.contact.geometry.detection import contacts_at
 from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
+from rbjax.contact.impacts.joint_rows import count_joint_rows, joint_rows
 from rbjax.contact.impacts.time_of_impact import end_of_slip, touchdown
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces
@@ -34,6 +35,9 @@ from rbjax.dynamics.arguments import check_model
 from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
 from rbjax.model.record import Record
+
+#: the residual in m/s up to which a step has converged
+CONVERGED = 1e-4
 
 
 class MoreauContact(Record):
@@ -43,8 +47,15 @@ class MoreauContact(Record):
     restitution, stacks and true sticking with steps of a millisecond, and for derivatives through
     impacts and slides: they are those of the rigid motion, as the step contains the time of impact.
 
+    Limits and friction loss that `rb.load` takes as rows of the contact problem are in the same
+    equations: a limit stops without rebound and without a margin, and friction loss holds or
+    brakes with |p| <= h floss.
+
     The memory (3 n + 1,) contains the impulses of the last step in N s, which start the next one,
-    and at its end the residual in m/s: the largest violation of the laws of contact.
+    and at its end the residual in m/s: the largest violation of the laws. A step with a residual
+    above 1e-4 m/s has not converged (`Trajectory.unconverged`): use more sweeps. The n rows are
+    those of the contacts, then of the limits (normal), then of the friction loss (first tangent),
+    and these two have zeros in their other entries.
 
     Fields:
         restitution, friction: e and mu (n,) of each candidate contact.
@@ -97,11 +108,13 @@ class MoreauContact(Record):
             sweeps: number of Gauss-Seidel sweeps of a step.
 
         Raises:
-            InputError: the model has no geoms, or no pair; numbers below zero.
+            InputError: the model has no geoms; it has no pair, limit and friction loss; numbers
+                below zero.
         """
         at = "MoreauContact.of"
         check_model(at, model)
-        chosen = check_pairs(at, model, pairs)
+        rows = pairs is None and model.geoms is not None and count_joint_rows(model)
+        chosen = () if rows and not model.geoms.pairs else check_pairs(at, model, pairs)
         integer(at, "sweeps", sweeps, least=1)
         dtype = model.gravity.dtype
         e, mu = check_coefficients(at, model, chosen, restitution, friction, dtype)
@@ -111,7 +124,16 @@ class MoreauContact(Record):
 
     def initial_memory(self, model: Model) -> jax.Array:
         """Return zero impulses and a zero residual."""
-        return jnp.zeros(3 * len(self.restitution) + 1, model.gravity.dtype)
+        n = len(self.restitution) + count_joint_rows(model)
+        return jnp.zeros(3 * n + 1, model.gravity.dtype)
+
+    def solver_tolerance(self, dtype: Any) -> float:
+        """Return the residual in m/s up to which a step has converged."""
+        return CONVERGED
+
+    def solver_error(self, memory: jax.Array) -> jax.Array:
+        """Return the residual in m/s of the step that returned a memory (m,)."""
+        return memory[..., -1]
 
     def advance_velocity(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
@@ -129,15 +151,16 @@ class MoreauContact(Record):
             a = aba.acceleration(model, q, v, tau, f_ext)
         else:
             a = formulation(model, t, state, tau, f_ext)
-        contacts = contacts_at(model, q, jnp.inf, self.pairs)
+        contacts, joints = contacts_at(model, q, jnp.inf, self.pairs), joint_rows(model, q)
         later = v + dt * a
-        J, problem, Y = impact_problem(model, q, later, contacts, mu, t)
+        J, problem, Y = impact_problem(model, q, later, contacts, mu, t, joints.J)
         normal = J[:, 0]
-        events = touchdown(
-            contacts.distance, matvec(normal, v), matvec(normal, a), e, rest, c, dt
-        )  # fmt: skip
-        active = contacts.exists & events.active
-        problem = problem._replace(b=events.velocity, active=active)
+        gap = jnp.concatenate([contacts.distance, joints.gap])
+        dry = jnp.concatenate([jnp.zeros_like(e), dt * joints.floss])
+        e = jnp.concatenate([e, jnp.zeros_like(joints.gap)])
+        events = touchdown(gap, matvec(normal, v), matvec(normal, a), e, rest, c, dt)
+        active = problem.active & events.active
+        problem = problem._replace(b=events.velocity, active=active, dry=dry)
         start = jnp.where(active[:, None], state.memory[:-1].reshape(-1, 3), 0)
         p = sweep_impulses(problem, start, self.sweeps)
         residual = jnp.abs(natural_map(problem, p)).max(initial=0.0)
@@ -149,6 +172,6 @@ class MoreauContact(Record):
         )
         mean = v + 0.5 * dt * a + matvec(Y, moving.at[:, 0].set(0).reshape(-1))
         u = matvec(J.reshape(-1, len(v)), mean).reshape(-1, 3)
-        places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(mu))
+        places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(e), dry=0.0)
         r = sweep_impulses(places, moving.at[:, 1:].set(0), self.sweeps)
         return later + matvec(Y, p.reshape(-1)), memory, mean + matvec(Y, r.reshape(-1))

@@ -55,6 +55,8 @@ def relative_velocity(model: Model, q: jax.Array, v: jax.Array, contacts: Contac
 
 def contact_jacobian(model: Model, q: jax.Array, contacts: Contacts) -> jax.Array:
     """Return the Jacobian J (n, 3, nv) of u = J v."""
+    if not contacts.geoms:
+        return jnp.zeros((0, 3, model.nv), q.dtype)
 
     def column(unit: jax.Array) -> jax.Array:
         return relative_velocity(model, q, unit, contacts)

@@ -99,8 +99,7 @@ def end_of_slip(problem: ImpulseProblem, p: jax.Array, slip: jax.Array) -> jax.A
     slips = square > STILL * STILL
     speed = jnp.sqrt(jnp.where(slips, square, 1.0))
     along = jnp.where(slips, slip / speed, 0.0)
-    limit = jnp.where(jnp.isinf(problem.mu), 0, problem.mu) * p[:, 0]
-    full = p.at[:, 1:].set(-limit[:, None] * along)
+    full = p.at[:, 1:].set(-problem.friction(p[:, 0])[:, None] * along)
     later = problem.u + (problem.D * full).sum((-2, -1))
     w = (later[:, 1:] * along).sum(-1, keepdims=True)
     ends = slips & (w < 0) & problem.active[:, None]

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow, Softness, entry
 from rbjax.lanes import Lane, Vec3, neg
 from rbjax.model import Model
@@ -42,20 +42,24 @@ def _limits(
     model: Model, q: jax.Array, v: jax.Array, weights: Any, options: Options, j: int
 ) -> list[ScalarRow]:
     """Return the rows of the limits of a joint."""
-    own, top, dtype = model.solver, model.topology, q.dtype
+    own, dtype = model.solver, q.dtype
     assert own is not None
-    low, high = numbers(table(model.joints.range, dtype)[j], dtype)
-    margin, i, k = entry(own.limit_margin, j, dtype), top.joint_v[j], top.joint_q[j]
-    ends: list[tuple[Any, dict[int, Lane]]]
-    if top.joints[j].quaternion:
-        angle, axis = _angle_and_axis(*(q[k + n] for n in range(4)))
-        ends = [(high - angle, {i + n: neg(x) for n, x in enumerate(axis)})]
-    else:
-        ends = [(q[k] - low, {i: 1.0}), (high - q[k], {i: -1.0})]
+    margin, i = entry(own.limit_margin, j, dtype), model.topology.joint_v[j]
     tables = own.limit_solref, own.limit_solimp
     softness = Softness.of(entry(weights, i, dtype), *tables, j, dtype)
-    source = "joint", j
-    return [ScalarRow.limit(J, d, margin, v, softness, options, source) for d, J in ends]
+    given = margin, v, softness, options, ("joint", j)
+    return [ScalarRow.limit(J, d, *given) for d, J in joint_limits(model, q, j)]
+
+
+def joint_limits(model: Model, q: jax.Array, j: int) -> list[tuple[Lane, dict[int, Lane]]]:
+    """Compute the distance of a joint to each of its limits, and the gradient of the distance."""
+    top = model.topology
+    low, high = numbers(table(model.joints.range, q.dtype)[j], q.dtype)
+    i, k = top.joint_v[j], top.joint_q[j]
+    if top.joints[j].quaternion:
+        angle, axis = _angle_and_axis(*(q[k + n] for n in range(4)))
+        return [(high - angle, {i + n: neg(x) for n, x in enumerate(axis)})]
+    return [(q[k] - low, {i: 1.0}), (high - q[k], {i: -1.0})]
 
 
 def _angle_and_axis(w: Lane, x: Lane, y: Lane, z: Lane) -> tuple[Lane, Vec3]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from rbjax.constraints import Soft
 from rbjax.constraints.equations.model_rows import gradient_by_dof, rows_of
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import EQUALITY, ScalarRow
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
@@ -42,10 +42,14 @@ def equality_rows(context: Context, options: Options) -> list[ScalarRow]:
     for k, constraint in enumerate(model.constraints):
         assert isinstance(constraint, Soft)
         rows = [all_rows.pop(0) for _ in range(constraint.size)]
-        R, right = constraint.soft_terms(rows, dtype, options.dt, refsafe=options.refsafe)
-        for row, softness, reference in zip(rows, R, right, strict=True):
+        found = constraint.soft_terms(
+            rows, dtype, options.dt, refsafe=options.refsafe, at_the_end=options.discrete
+        )
+        for row, softness, reference, factor in zip(rows, *found, strict=True):
             J = gradient_by_dof(context, row)
             J = fusion_barrier({i: x for i, x in J.items() if not is_zero(x)})
-            a = sub(reference, row.acceleration) if constraint.bias else reference
+            a = reference
+            if constraint.bias:
+                a = sub(a, row.acceleration / factor if options.discrete else row.acceleration)
             out.append(ScalarRow(EQUALITY, J, 1.0 / softness, a, 0.0, ("constraint", k)))
     return out

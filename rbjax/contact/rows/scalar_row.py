@@ -11,14 +11,14 @@ The residual of a row is r = J x - a_ref. Its force f = -ds/dr and Hessian h = d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import Options
-from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, inner, mul, neg, sub
+from rbjax.contact.rows.options import Options
+from rbjax.forces.impedance import end_of_step, impedance, reference, regularisation
+from rbjax.lanes import Lane, inner, mul, neg, sub, total
 from rbjax.model.leaves import numbers, table
 from rbjax.model.links import lane
 
@@ -43,10 +43,18 @@ class Softness(NamedTuple):
         """Return row i of the tables solref (n, 2) and solimp (n, 5)."""
         return cls(weight, *(numbers(table(x, dtype)[i], dtype) for x in (solref, solimp)))
 
-    def terms(self, r: Lane, rate: Lane, options: Options) -> tuple[Lane, Lane]:
-        """Compute the inverse regularization and the reference acceleration at the residual r of
-        the position and its rate."""
+    def terms(
+        self, r: Lane, rate: Lane, options: Options, *, spring: bool = True
+    ) -> tuple[Lane, Lane]:
+        """Compute the inverse regularization and the reference acceleration of a row.
+
+        r: residual of the position. rate: its rate. spring: whether the row has a stiffness.
+        """
         d, (dt, refsafe) = impedance(r, self.solimp), (options.dt, options.refsafe)
+        if options.discrete:
+            given = d, self.weight, self.solref, self.solimp, dt
+            found = end_of_step(*given, spring=spring, resolve=refsafe)
+            return 1.0 / found.R, found.reference(r, rate)
         a = reference(r, rate, d, self.solref, self.solimp, dt, refsafe=refsafe)
         return 1.0 / regularisation(d, self.weight), a
 
@@ -90,15 +98,25 @@ class ScalarRow(NamedTuple):
         source: tuple[str, int],
     ) -> ScalarRow:  # fmt: skip
         """Return the row of a friction loss, which opposes the rate J v."""
-        D, a = softness.terms(0.0, _along(J, v), options)
+        D, a = softness.terms(0.0, _along(J, v), options, spring=False)
         return cls(FRICTION, J, D, a, floss, source)
 
     def along(self, x: list[Lane]) -> Lane:
-        """Compute J x."""
+        """Compute J x, the acceleration along the row, from the lanes x of all dofs."""
         return _along(self.J, x)
 
+    def stretched(self, own: Sequence[Lane], solver: Sequence[Lane]) -> ScalarRow:
+        """Return the row with D times sum J_j^2 / m_j over sum J_j^2 / m'_j.
+
+        own, solver: the inverse diagonals of the mass matrix and of the matrix of the solver.
+        """
+        squares = {i: mul(x, x) for i, x in self.J.items()}
+        a, b = (total(mul(x, m[i]) for i, x in squares.items()) for m in (own, solver))
+        some = a > 0
+        return self._replace(D=mul(self.D, jnp.where(some, a / jnp.where(some, b, 1.0), 1.0)))
+
     def response(self, r: Lane) -> tuple[Lane, Lane]:
-        """Compute the force and the Hessian at a residual."""
+        """Compute the force and the Hessian of the cost at a residual r = J x - a_ref."""
         push = neg(mul(self.D, r))
         if self.kind == EQUALITY:
             return push, self.D
@@ -110,10 +128,10 @@ class ScalarRow(NamedTuple):
 
 
 def _along(J: Mapping[int, Lane], x: Any) -> Lane:
-    """Compute J x of a vector x (nv,) or its lanes."""
+    """Compute J x, for a row J (dof -> coefficient) and a vector x (nv,) or its lanes."""
     return inner(J.values(), [x[i] for i in J])
 
 
 def entry(column: Any, i: int, dtype: Any) -> Lane:
-    """Return an entry of a leaf (n,) as a lane."""
+    """Return entry i of a model parameter (n,) as a lane."""
     return lane(table(column, dtype), i)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow, Softness, entry
 from rbjax.forces.context import Context
 from rbjax.forces.reach import Reach
 from rbjax.forces.tendons.paths import tendon_reach
-from rbjax.lanes import fusion_barrier, neg, sub
+from rbjax.lanes import Lane, fusion_barrier, neg, sub
 from rbjax.model.leaves import numbers, table
 
 
@@ -35,14 +35,20 @@ def tendon_rows(context: Context, weights: Any, options: Options) -> list[Scalar
     for i in own.limited:
         tables = own.limit_solref, own.limit_solimp
         softness = Softness.of(entry(weights, i, dtype), *tables, i, dtype)
-        length, J = _reach(context, i)
-        low, high = numbers(table(own.range, dtype)[i], dtype)
         margin = entry(own.limit_margin, i, dtype)
-        opposite = {n: neg(x) for n, x in J.items()}
-        for arms, distance in ((J, sub(length, low)), (opposite, sub(high, length))):
+        for distance, arms in tendon_limits(context, i):
             given = arms, distance, margin, v, softness, options, ("tendon", i)
             rows.append(ScalarRow.limit(*given))
     return rows
+
+
+def tendon_limits(context: Context, i: int) -> list[tuple[Lane, dict[int, Lane]]]:
+    """Compute the distance of a tendon to each of its limits, and the gradient of the distance."""
+    own: Any = context.model.tendons
+    length, J = _reach(context, i)
+    low, high = numbers(table(own.range, context.q.dtype)[i], context.q.dtype)
+    opposite = {n: neg(x) for n, x in J.items()}
+    return [(sub(length, low), {**J}), (sub(high, length), opposite)]
 
 
 def _reach(context: Context, i: int) -> Reach:

@@ -225,10 +225,9 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
 
 
 def _generic(model: Model) -> np.ndarray:
-    """Return B (nv, nu) at a random state, to find dofs without an actuator.
-
-    For some models it is another matrix of the same sparsity and rank.
-    """
+    """Return a matrix (nv, nu) with the sparsity and the rank of B, to find dofs without an
+    actuator. It is B at a random state, or gears times gains if all actuators are at joints with
+    one dof."""
     top, a = model.topology, model.actuators
     if not any(e.actuates for e in model.forces) and all(
         j >= 0 and top.joints[j].nv == 1 for j in a.joints

@@ -62,7 +62,7 @@ class Task(Record):
 
     @property
     def rows(self) -> slice:
-        """The task's rows in [angular; linear]."""
+        """The rows of the twist [angular; linear] that the task controls."""
         return KINDS[self.kind][1]
 
     @property

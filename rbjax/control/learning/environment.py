@@ -24,7 +24,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.kinematics.arguments import check_key, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-from rbjax.motion.field import free_motion
+from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
 
@@ -171,7 +171,8 @@ class Environment(Record):
         self.dt = check_step("Environment", "dt", model.timestep if dt is None else dt, dtype)
         self.observe = _all if observe is None else observe
         self.randomise, self.lost = randomise, lost
-        integrator_of("Environment", integrator, free_motion)
+        dynamics = dynamics_of("Environment", model, free_motion, None, steps=True)
+        integrator_of("Environment", integrator, dynamics, model)
         self.squash = flag("Environment", "squash", squash)
         self.episode, self.integrator = episode, integrator
         state = jax.eval_shape(start, jax.random.key(0))

@@ -156,8 +156,8 @@ def through_time(
 def apply_update(
     optimiser: Any, slope: Any, memory: Any, numbers: Any
 ) -> tuple[Any, Any, jax.Array]:
-    """Apply an update, unless the gradient is not finite. Returns the parameters, the optimiser
-    state, and whether the gradient was finite."""
+    """Update the parameters `numbers` by the gradient `slope`, unless the gradient is not finite.
+    Return the parameters, the optimiser's state, and whether the gradient was finite."""
     leaves = [jnp.isfinite(x).all() for x in jax.tree.leaves(slope)]
     fine = jnp.stack(leaves).all()
     slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)

@@ -325,7 +325,8 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
 
 
 def _refine(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
-    """Return the cost to go of P's gain, in which the error of the gain is squared."""
+    """Improve P by Newton steps on the Riccati equation, whose residual is computed in double
+    words."""
     rounded = (*problem, gain(discrete, problem, P)[0])
     A, B, Q, R, S, K = (Double.of(x) for x in rounded)
     closed, SK = A - B @ K, S @ K

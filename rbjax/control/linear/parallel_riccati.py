@@ -47,7 +47,7 @@ class Stretch(NamedTuple):
 
 
 def join(one: Stretch, two: Stretch) -> Stretch:
-    """Combine two adjacent segments, in order of time; leading axes are a batch."""
+    """Combine two adjacent segments of a horizon to one (`Stretch`). Leading axes are a batch."""
     turned = matrix_transpose
     n = one.b.shape[-1]
     W = jnp.eye(n, dtype=one.b.dtype) + product(one.C, two.J)

@@ -187,7 +187,8 @@ def state_names(model: Model) -> list[str]:
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:
-    """Return the row echelon form with the largest pivots, which has few entries a row."""
+    """Reduce rows to echelon form by elimination with full pivoting, so that each row has few
+    entries."""
     rows = rows.copy()
     free = set(range(rows.shape[1]))
     for k in range(len(rows)):

@@ -64,13 +64,13 @@ class Memory(NamedTuple):
     knots: Knot  # (N + 1, ...)
     ctrl: jax.Array  # (N, nu)
     K: jax.Array  # (N, nu, n)
-    multipliers: Multipliers | None  # from the last plan; None for a method without them
+    multipliers: Multipliers | None  # from the last plan; None without constraints
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
     failures: jax.Array  # (), the plans that failed in a row
     search_status: jax.Array  # (), of the last search
     cost: jax.Array  # (), of the plan
     violation: jax.Array  # (), of the plan
-    gap: jax.Array  # (), the largest between a step and the next state; 0 without constraints
+    gap: jax.Array | None  # (), largest between a step and the next state; None if unconstrained
 
 
 class Run(NamedTuple):
@@ -130,7 +130,7 @@ class PredictiveController:
         knots, us = select(whole, planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
-            knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
+            knots, us, K, self._multipliers(found), None, jnp.where(whole, 0, self.patience),
             found.status, found.cost, found.violation, self._gap(found),
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
@@ -232,9 +232,15 @@ class PredictiveController:
         options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
-    def _gap(self, found: Any) -> jax.Array:
-        """Return the largest gap between the knots of a plan; 0 without constraints."""
-        return found.gap if self.problem.constraints else jnp.zeros_like(found.gap)
+    def _gap(self, found: Any) -> jax.Array | None:
+        """Return the largest gap between the knots of a plan; None without constraints."""
+        return found.gap if self.problem.constraints else None
+
+    def _multipliers(self, found: Any) -> Multipliers | None:
+        """Return the multipliers for the start of the next search; None without constraints."""
+        if not self.problem.constraints or found.penalty is None:
+            return None
+        return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """Return the memory with a new plan, or with the last plan if the new one fails."""
@@ -250,7 +256,7 @@ class PredictiveController:
         new = memory._replace(
             knots=found.knots, ctrl=found.ctrl, K=found.K, cost=found.cost,
             violation=found.violation, gap=self._gap(found),
-            multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
+            multipliers=self._multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
         return select(good, new, old)._replace(search_status=found.status)
@@ -269,11 +275,12 @@ class PredictiveController:
         return memory._replace(knots=knots, ctrl=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> PlannedControl:
-        """Return the control of the plan for its tick k."""
-        # with gaps, satisfied constraints of the planned states do not imply those of the motion
-        off = jnp.maximum(memory.violation, memory.gap)
-        broken = (off > self.violation) if self.problem.constraints else False
-        status = jnp.where(broken, VIOLATED, PLANNED)
+        """Return the planned control at index k of the plan, with gains, state and status."""
+        status = jnp.asarray(PLANNED)
+        if memory.gap is not None:
+            # with gaps, the motion may violate constraints that the planned states satisfy
+            off = jnp.maximum(memory.violation, memory.gap)
+            status = jnp.where(off > self.violation, VIOLATED, PLANNED)
         status = jnp.where(memory.failures > 0, KEPT, status)
         status = jnp.where(memory.failures > self.patience, FALLBACK, status)
         state = take(memory.knots.state, k)
@@ -373,13 +380,6 @@ def mpc(
         problem_at, example, method, iterations, delay,
         flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
     )  # fmt: skip
-
-
-def _multipliers(found: Any) -> Multipliers | None:
-    """Return the multipliers for the start of the next search."""
-    if found.penalty is None:
-        return None
-    return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
 
 
 def _problem_at(problem: Any) -> Callable[[Any], Problem]:

@@ -17,7 +17,13 @@ from rbjax.model.record import Record
 
 
 class StoppingRule(NamedTuple):
-    """When a search ends. Each field is ()."""
+    """Limits at which a search ends, each ().
+
+    tolerance: expected decrease of the cost, relative to max(|cost|, scale).
+    violation: largest accepted constraint violation.
+    iterations: maximum number of iterations.
+    scale: scale of the cost; None for min(|cost of the first guess|, 1).
+    """
 
     tolerance: jax.Array  # expected decrease of the cost, relative to max(|cost|, scale)
     violation: jax.Array  # largest accepted constraint violation

@@ -264,7 +264,8 @@ _lines: list[Say] = []  # progress lines of the running searches
 
 
 def _report(iterations: Any, cost: Any, violation: Any) -> None:
-    """Print an iteration; one function for all searches, as it is part of the cache key."""
+    """Print the progress of a search. All searches share this function, which is part of a cache
+    key."""
     if _lines:
         held = f", violation {float(violation):.2g}" if violation else ""
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")

@@ -210,10 +210,11 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """Compute one column of `count` matrices, link by link.
+    """Compute, link by link, the entries of one column of `count` matrices `pair_matrix`.
 
-    rows: the rows of all links. own: the row of the link of the column. places: rows of
-        `which_moves`.
+    rows: the numbers of all links. own: the numbers of the link of the column.
+    places: for each link, its entry in this column of `which_moves`.
+    start: index of the first number of a link's vectors.
     """
     out: list[list[Lane]] = []
     for row in rows:

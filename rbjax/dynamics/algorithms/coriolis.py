@@ -87,7 +87,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 def _of_modes(
     d: Driver, joints: Any, poses: Any, S: Any, S_rate: Any, V: Any, v: jax.Array
 ) -> jax.Array:
-    """Compute the part of C that the modal inertias add to their rigid inertias.
+    """Compute the part of the Coriolis matrix C that modal inertias add to their rigid inertias.
 
     With J extended by the row of the coordinate, the blocks of B for a link with the rate q' are
     [q' I_q / 2, V x* C + q' C_q + I_q V / 2; -(I_q V)^T / 2, q' m_q / 2].

@@ -33,7 +33,8 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
 
 
 def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
-    """Compute M as rows of lanes. Each F is transformed to the root separately."""
+    """Compute the mass matrix M as rows of lanes. Each force F = I_c S is propagated to the root by
+    itself."""
 
     def step(x, children):
         X, I_c, F = composite(x, children)

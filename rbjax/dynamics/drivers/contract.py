@@ -81,15 +81,17 @@ class Driver(abc.ABC):
 
     @abc.abstractmethod
     def rows(self, whole: Whole) -> PerLink:
-        """Convert values over all links (the whole form) to per-link values."""
+        """Convert values over all links, as `whole` returns them, to per-link values."""
 
     @abc.abstractmethod
     def each(self, f: Callable, *whole: Whole) -> Whole:
-        """Apply f to the values of each link. Arguments and result are in the whole form."""
+        """Apply f to the values of each link. Arguments and result are lists, or columns over all
+        links."""
 
     @abc.abstractmethod
     def take(self, whole: Whole, index: Sequence[int], world: Any = None) -> Whole:
-        """Select the values of links by index, in the whole form; `world` for an index WORLD."""
+        """Select values of links by index from a list, or columns, over all links; `world` for
+        index WORLD."""
 
     @abc.abstractmethod
     def stack(self, whole: Whole, lanes: Callable, like: jax.Array) -> jax.Array:
@@ -97,7 +99,7 @@ class Driver(abc.ABC):
 
     @abc.abstractmethod
     def literals(self, numbers: list[float]) -> Whole:
-        """Convert one compile-time constant for each link to the whole form."""
+        """Convert one compile-time constant per link to a list, or to columns, over all links."""
 
     def unzip(self, tuples: PerLink, count: int) -> tuple[PerLink, ...]:
         """Split the tuples of `zip` into `count` per-link values."""
@@ -117,8 +119,8 @@ class Driver(abc.ABC):
         return S, S_rate
 
     def modes(self, joints: PerLink) -> tuple[Whole, Whole]:
-        """Return the modal inertia of each link and its derivative by the coordinate, in the whole
-        form."""
+        """Return the modal inertia of each link and its derivative by the coordinate, as `whole`
+        does."""
 
         def step(joint: JointMotion, _: tuple) -> tuple[tuple, tuple]:
             return (), (joint.modal, joint.modal_slope)
@@ -127,7 +129,7 @@ class Driver(abc.ABC):
         return self.whole(modal), self.whole(slope)
 
     def whole_axes(self, joints: PerLink) -> Whole:
-        """Return the axis S of each link in its own axes, in the whole form."""
+        """Return the axis S of each link in its own axes: a list, or columns over all links."""
         kinds = [dof.kind for dof in self.topology.dofs]
         if not all(kind.constant_axis and kind.shared_axis for kind in kinds):
             return self.whole(self.axes(joints)[0])

@@ -28,7 +28,7 @@ from rbjax.model.links import lane
 
 
 class Limbs(unrolled.ListDriver):
-    """The trunk unrolled, and a loop over the limbs of each group.
+    """The driver that unrolls the trunk of a tree, and loops over the equal limbs of each group.
 
     The columns of a per-link value are a list for each group, over the positions in a limb.
     """

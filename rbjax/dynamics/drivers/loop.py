@@ -53,7 +53,7 @@ class PoseLane:
 
 
 class Constants:
-    """A placeholder for the constants of the links, as a leaf among columns."""
+    """A placeholder for the constants of the links, used as a leaf of a pytree of columns."""
 
 
 class Iteration:
@@ -81,7 +81,7 @@ class Iteration:
 
     @property
     def pose_lanes(self) -> dict[int, PoseLane]:
-        """The `PoseLane` of each lane of a pose, by the id of the lane."""
+        """Placeholders for the lanes of this iteration's link poses, by the id of the lane."""
         return {
             id(x): PoseLane(joint, k)
             for joint, posed in self.joints.values()

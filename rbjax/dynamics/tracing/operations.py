@@ -198,7 +198,8 @@ def _open(jaxpr: Any) -> Any:
 
 
 def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
-    """Count the operations of a loop. All iterations need the same part of the carry."""
+    """Count the operations of a loop, and which inputs it needs. A carry that one iteration needs
+    is needed by all of them."""
     body = _open(eqn.params["jaxpr"])
     n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11 has no parameter for this
     consts = len(body.invars) - n - over_time(eqn.invars, body.invars)

@@ -85,7 +85,9 @@ class Integrator(Activation):
 class Filter(Activation):
     """A first-order lag a' = (u - a) / T of the control u, with time constant T.
 
-    exact: whether its steps are the exact solution.
+    exact: whether its steps are the exact solution. It does not change Runge-Kutta methods, which
+        integrate a' with their own order. MuJoCo's RK4 applies the exact step of an exact filter to
+        the mean rate of its stages, a second time, so that its error is of order 1.
     """
 
     time_constant: jax.Array
@@ -185,7 +187,10 @@ class Muscle(Record):
 
 
 def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
-    """Compute FL: half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax."""
+    """Compute the force-length factor FL of a muscle at the normalised length L.
+
+    It is half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax.
+    """
     a, b = 0.5 * (lmin + 1), 0.5 * (1 + lmax)
     rise = 0.5 * _square((L - lmin) / at_least(a - lmin))
     before = 1 - 0.5 * _square((1 - L) / at_least(1 - a))
@@ -197,14 +202,17 @@ def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
 
 
 def speed_curve(V: Lane, fvmax: Lane) -> Lane:
-    """Compute FV: 0 for V <= -1, 1 at V = 0, fvmax for V >= fvmax - 1."""
+    """Compute the force-velocity factor FV: 0 for V <= -1, 1 at V = 0, fvmax for V >= fvmax - 1."""
     y = fvmax - 1
     lengthening = fvmax - _square(jnp.maximum(y - V, 0.0)) / at_least(y)
     return jnp.where(V <= 0, _square(jnp.maximum(V + 1, 0.0)), lengthening)
 
 
 def passive_curve(L: Lane, lmax: Lane) -> Lane:
-    """Compute FP / fpmax: 0 for L <= 1, half a parabola up to (1 + lmax) / 2, then its tangent."""
+    """Compute the passive force factor FP / fpmax of a muscle at the normalised length L.
+
+    It is 0 for L <= 1, half a parabola up to (1 + lmax) / 2, then its tangent.
+    """
     width = at_least(0.5 * (1 + lmax) - 1)
     x = jnp.maximum((L - 1) / width, 0.0)
     return jnp.where(x <= 1, 0.5 * x * x, x - 0.5)

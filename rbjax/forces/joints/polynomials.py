@@ -91,12 +91,16 @@ class JointPolynomials(Element):
         return Loads(out)
 
     def slopes(self, context: Context) -> list[Slope]:
-        """Compute the damping of each dof, and the stiffness of the linear springs."""
-        stiffness, damping = (table(x, context.v.dtype) for x in (self.stiffness, self.damping))
+        """Compute the damping and stiffness of each dof. The stiffness of the three rotations or
+        translations of a joint is the derivative along the displacement."""
+        damping, stiffness = table(self.damping, context.v.dtype), dict[int, Lane]()
+        for coefficients, at, x in self._springs(context):
+            shares = [mul(n, c) for n, c in enumerate(coefficients, self.lowest + 1)]
+            stiffness |= dict.fromkeys(range(at, at + len(x)), self._polynomial(shares, x))
         out: list[Slope] = []
-        for row, joint in enumerate(map(context.joint, self.joints)):
-            k = 0.0 if self.lowest else lane(stiffness[:, 0], row)
+        for joint in map(context.joint, self.joints):
             for i, v in enumerate(joint.v, joint.start):
+                k = stiffness.get(i, 0.0)
                 coefficients = _row(damping, len(out))
                 shares = [mul(n, c) for n, c in enumerate(coefficients, self.lowest + 1)]
                 speed = [jnp.abs(v)] if self.lowest or len(shares) > 1 else [v]

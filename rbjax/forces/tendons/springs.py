@@ -41,7 +41,7 @@ class TendonSprings(Element):
         return out
 
     def slopes(self, context: Context) -> list[Slope]:
-        """Compute the damping of each tendon, and the stiffness of its linear spring."""
+        """Compute the damping and stiffness of each tendon."""
         out = []
         for i, k, d in _springs(context):
             reach = tendon_reach(context, i)
@@ -50,15 +50,17 @@ class TendonSprings(Element):
             if len(shares) > 1:
                 speed = jnp.abs(jnp.asarray(reach.speed(context), context.q.dtype))
                 damping = add(damping, polynomial(shares[1:], speed))
-            stiffness = k[0]
-            if not is_zero(stiffness):
-                acts = _stretch(context, i, reach.length) != 0
-                stiffness = jnp.where(acts, stiffness, 0.0)
+            stiffness: Lane = 0.0
+            if not all(map(is_zero, k)):
+                x = _stretch(context, i, reach.length)
+                shares = [mul(n, c) for n, c in enumerate(k, 1)]
+                stiffness = jnp.where(x != 0, add(shares[0], polynomial(shares[1:], x)), 0.0)
             out.append(Slope(reach.arms, stiffness, damping))
         return out
 
     def energy(self, context: Context) -> Lane:
-        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...)."""
+        """Compute the energy, the sum of x^2 (k_0 / 2 + k_1 x / 3 + ...) over stretches x of
+        tendons, J."""
         return total(_energy(context, i, k) for i, k, _ in _springs(context))
 
 

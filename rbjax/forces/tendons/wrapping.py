@@ -156,8 +156,12 @@ def _plane(a: Vec3, b: Vec3, axis: Vec3 | None, dtype: Any) -> tuple[Vec3, Lane]
 
 
 def _incidence(r: Lane, l0: Lane, l1: Lane, angle: Lane) -> Lane:
-    """Solve F(t) = 0 for the angle of incidence t. The derivatives follow from two Newton steps at
-    the solution, of which the first is exact to first order."""
+    """Solve F(t) = 0 for the angle of incidence t of a tendon that touches a circle from inside.
+
+    r, l0, l1: radius, and distances of both points from the centre. angle: between these points.
+    The derivatives follow from two Newton steps at the solution, of which the first is exact to
+    first order.
+    """
 
     def step(t: Lane, a: Lane, b: Lane, angle: Lane) -> Lane:
         sine, cosine = jnp.sin(t), jnp.cos(t)

@@ -156,10 +156,11 @@ def _law_is_known(m: mujoco.MjModel, i: int) -> bool:
 
 
 def safe_solref(m: mujoco.MjModel, solref: np.ndarray) -> np.ndarray:
-    """Return solref with a time constant of two time steps or more, unless refsafe is off. Mixed
-    signs stand for MuJoCo's default."""
+    """Return solref with a time constant of two time steps or more, unless refsafe is off or the
+    integrator is `discrete`. Mixed signs stand for MuJoCo's default."""
     if (solref[0] > 0) != (solref[1] > 0):
         solref = np.array(SOLREF)
-    if solref[0] > 0 and is_on(m, Off.mjDSBL_REFSAFE):
+    explicit = m.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE
+    if solref[0] > 0 and explicit and is_on(m, Off.mjDSBL_REFSAFE):
         return np.array([max(solref[0], 2 * m.opt.timestep), solref[1]])
     return solref

@@ -63,7 +63,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
 
 
 def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
-    """Return the indices of the dofs of joints, in the order of the joints."""
+    """Return the indices of all dofs of the given joints, in their order."""
     spans = [m.jnt_dofadr[j] + np.arange(_SIZES.get(int(m.jnt_type[j]), 1)) for j in joints]
     return np.concatenate([np.zeros(0, int), *spans])
 

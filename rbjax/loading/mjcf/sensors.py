@@ -161,7 +161,8 @@ def _joint_limit(m: mujoco.MjModel, i: int) -> tuple:
 
 
 def _control(m: mujoco.MjModel, actuator: int) -> int:
-    """Return the control that is the index of an actuator in the model."""
+    """Return the index of an actuator's first control. Raise `NotRead` if the actuator is not
+    supported."""
     why = "disabled actuators" if is_off(m, actuator) else reason_left_out(m, actuator)
     if why:
         raise NotRead(f"sensors of actuators: {why}")

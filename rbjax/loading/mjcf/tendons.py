@@ -150,8 +150,10 @@ def _attributes(draft: Draft, own: Any, i: int) -> dict[str, str]:
 
 
 def _write_waypoint(draft: Draft, tendon: ET.Element, one: Waypoint, left: Any) -> int:
-    """Write an element of a path; return the number of its coefficients. left: coefficients from
-    its own on."""
+    """Write one element of the path of a tendon. Return the number of coefficients that it has.
+
+    left: the coefficients of the path from this element on.
+    """
     if one.kind == "pulley":
         ET.SubElement(tendon, "pulley", divisor=text(left[0]))
         return 1

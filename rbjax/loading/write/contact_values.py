@@ -53,8 +53,11 @@ def write_changed(
 def _write_joint(
     joint: ET.Element, own: Any, was: Any, index: int, dof: int, *, friction: bool
 ) -> None:
-    """Write the parameters of one joint that differ. With force elements for the friction, the file
-    gets theirs."""
+    """Write the attributes of one joint whose values differ from the file.
+
+    own, was: the parameters of the model and of the file. friction: whether to write the friction
+        loss.
+    """
     for leaves, at in ((JOINT_LEAVES, index), (DOF_LEAVES, dof)):
         for key, (name, _) in leaves.items():
             new = getattr(own, name)[at]

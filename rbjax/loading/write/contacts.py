@@ -200,7 +200,7 @@ def rubs(model: Model) -> bool:
 
 
 def _unusual(given: dict[str, Any], usual: dict[str, Any]) -> dict[str, str]:
-    """Return the attributes whose values differ from MuJoCo's defaults."""
+    """Return as text the attributes of `given` whose values differ from the defaults `usual`."""
     differ = {key: x for key, x in given.items() if text(x) != text(np.asarray(usual[key]))}
     return {key: text(x) for key, x in differ.items()}
 

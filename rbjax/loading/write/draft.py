@@ -110,7 +110,8 @@ def place_in_body(model: Model, place: Place) -> tuple[int, np.ndarray, np.ndarr
 
 
 def free_bodies(model: Model) -> set[int]:
-    """Return the bodies on free joints; a file has their frames at the reference of the joint."""
+    """Return the bodies on free joints. A file gives their frames at the joint's reference
+    configuration."""
     top = model.topology
     kinds = zip(top.joint_bodies, top.joint_kinds, strict=True)
     return {body for body, kind in kinds if kind == "free"}

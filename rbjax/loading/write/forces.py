@@ -178,7 +178,8 @@ def _write_spring(draft: Draft, spring: PointSpring) -> None:
 
 
 def _padded(draft: Draft, x: Any) -> Any:
-    """Return the coefficients that MJCF has, with zeros for missing ones."""
+    """Convert the coefficients of a polynomial to the number that MJCF has, with zeros for missing
+    ones."""
     if x[1 + _TERMS :].any():
         draft.note(f"PointSpring of more than {_TERMS + 1} terms, the first of which are written")
     return np.concatenate([x, np.zeros(1 + _TERMS)])[: 1 + _TERMS]

@@ -198,7 +198,7 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
 
 
 def _bare(model: Model) -> set[int]:
-    """Return the bodies with joints to which no other body with mass is welded."""
+    """Return the bodies with joints whose welded bodies have no mass and inertia of their own."""
     top, own = model.topology, model.bodies
     smallest = np.linalg.eigvalsh(np.asarray(own.inertia, np.float64)).min(-1, initial=np.inf)
     solid = np.flatnonzero((np.asarray(own.mass) >= _LEAST) & (smallest >= _LEAST))

@@ -218,7 +218,8 @@ def sensors_differ(draft: Draft, again: Any, written: list[sensors.NamedSensor])
 
 
 def _facts(model: Any, sensor: Any) -> list:
-    """Return the type of a sensor and its fields, the frames as bodies and rounded poses."""
+    """Return the type and the fields of a sensor, for comparison. Frames are given as a body and a
+    rounded pose."""
     out: list = [type(sensor)]
     for name in ("frame", "reference", "other", "seen"):
         given = getattr(sensor, name, None)

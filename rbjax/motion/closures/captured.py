@@ -47,7 +47,7 @@ _levels: weakref.WeakKeyDictionary[Any, int] = weakref.WeakKeyDictionary()
 
 
 class UnfitError(Exception):
-    """Raised if a function does not run as it was read; read it again at another level."""
+    """Raised if a function does not run as it was read. `level` is the level to read it at next."""
 
     def __init__(self, site: Any, level: int) -> None:
         super().__init__(site, level)
@@ -55,7 +55,8 @@ class UnfitError(Exception):
 
 
 class Recipe:
-    """A hashable recipe that makes a function from operands."""
+    """The static part of a function that was read: a key, and how to rebuild the function from
+    operands."""
 
     def __init__(self, f: Callable, reader: Reader) -> None:
         self.key, self.make = reader.read(f)
@@ -73,7 +74,7 @@ class Recipe:
 
 
 class Captured(eqx.Module):
-    """A function as a pytree: the numbers that it reads, and a static recipe."""
+    """A function as a pytree: the numbers that it reads, and a static `Recipe` to rebuild it."""
 
     operands: tuple[jax.Array, ...]
     recipe: Recipe

@@ -78,7 +78,8 @@ PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """Traversal of a function and the values that it reaches, with a key and a maker for each.
+    """Reads a function and the values that it refers to. `read` returns the key of a value and its
+    maker.
 
     operands: the numbers read so far.
 
@@ -202,7 +203,8 @@ class Reader:
         make: Callable[[list], Any] = list,
         names: frozenset[str] = frozenset(),
     ) -> tuple[Any, Maker]:
-        """Read the parts of an object; return its key, and the function that rebuilds it."""
+        """Read the parts of an object. Return its key (`about`, then the keys of the parts) and its
+        maker, which is None if no part has operands."""
         parts = list(parts)
         read = [self.read(x, held, names) for x in parts]
         key = (about, *(k for k, _ in read))

@@ -102,7 +102,12 @@ def _lrl(x, y, phi):  # 8.3 and 8.4
 
 
 def _ends(u, v, xi, eta, phi):
-    """Compute the lengths of the outer arcs of a word of four arcs with inner arcs u and v."""
+    """Compute the lengths of the first and last arc of a word of four arcs, whose inner arcs are u
+    and v.
+
+    xi, eta: the center of the goal's circle relative to the start's circle. phi: the goal's
+        heading.
+    """
     delta = u - v
     a, b = jnp.sin(u) - jnp.sin(delta), jnp.cos(u) - jnp.cos(delta) - 1
     _, t = _polar(xi * a + eta * b, eta * a - xi * b)

@@ -63,9 +63,11 @@ class GoalSet:
     def __call__(
         self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return lower bounds of 0 (m,), empty connections (m, 0, 3), and costs (m,).
+        """Test which poses (m, 3) are in the goal set. Return bounds, connections and costs like
+        `DirectMotion`.
 
-        The cost is 0 for a pose in the goal set, and infinite for other poses.
+        Lower bounds are 0 (m,) and connections are empty (m, 0, 3). Costs (m,) are 0 in the goal
+        set, else inf.
         """
         off = poses - goal
         there = np.hypot(off[:, 0], off[:, 1]) <= self.near

@@ -75,8 +75,11 @@ def _touching(passable: np.ndarray) -> np.ndarray:
 
 
 def _from_corner(open_: np.ndarray, at: int) -> np.ndarray:
-    """Compute the lengths, in cells, of the shortest chains from a corner to all corners, row by
-    row."""
+    """Compute the lengths, in cells, of the shortest chains of moves from one corner to all
+    corners, row by row.
+
+    Moves are (1, 0), (1, 1) and (2, 1), rotated and mirrored. open_: the mask of usable corners.
+    """
     rim = 2  # of the longest move, so that neighbours need no test of the map's edge
     wide = np.pad(open_, rim)
     ny = wide.shape[1]

@@ -168,7 +168,8 @@ def _expand(p: _Problem, s: _Searches, at: jax.Array, valid: jax.Array) -> _Sear
 
 
 def _wave(p: _Problem, s: _Searches, width: int) -> _Searches:
-    """Visit all nodes of the current cost; in searches that reach the goal, only nodes before it.
+    """Expand all nodes of the current cost. In searches whose goal is reached at this cost, only
+    nodes older than the goal's node are expanded.
 
     width: the number of nodes that are expanded at once, a constant shape of the program.
     """

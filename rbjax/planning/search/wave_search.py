@@ -38,7 +38,7 @@ def join(parts: list[Nodes]) -> Nodes:
 
 
 def add_to(shelves: Shelves, costs: np.ndarray, nodes: Any) -> None:
-    """Add nodes to the lists of their costs (n,), in order."""
+    """Add nodes to the lists by cost of `shelves`. costs: (n,), one for each node."""
     order = np.argsort(costs, kind="stable")
     values, first = np.unique(costs[order], return_index=True)
     for cost, *ends in zip(values, first, [*first[1:], None], strict=False):
@@ -181,7 +181,7 @@ class WaveSearch:
         return free, kept
 
     def first_of(self, cell: np.ndarray) -> np.ndarray:
-        """Return, for each number, whether it is the first occurrence of its value."""
+        """Return, for each cell index, whether it is the first occurrence of its value."""
         number = np.arange(len(cell), dtype=np.int32)
         self.first[cell[::-1]] = number[::-1]  # of several assignments, the last one remains
         return self.first[cell] == number

@@ -175,8 +175,8 @@ def _norm(x: jax.Array) -> jax.Array:
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
-    """Fill unknown rows of an array (n, k) with the last known row before them, or else with the
-    first known row."""
+    """Replace each row (k,) that is not known by the last known row before it, or by the first
+    known row."""
     at = jnp.where(known, jnp.arange(len(known)), -1)
     at = jax.lax.cummax(at)
     return rows[jnp.where(at < 0, jnp.argmax(known), at)]

@@ -94,7 +94,8 @@ class Shooting(NamedTuple):
         return stack_lanes([*q[: self.tracked], *v], z.dtype)
 
     def over(self, z: jax.Array, w: jax.Array) -> jax.Array:
-        """Integrate one interval. Return its states (parts, nz), the last at its end."""
+        """Integrate one interval from the state z with scaled controls w (nu + 1,). Return its
+        states (parts, nz), of which the last is at the end of the interval."""
         u, h = w[:-1] * self.units, w[-1] * self.duration / self.parts
 
         def step(z, _):
@@ -222,7 +223,8 @@ def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
         S = S + jnp.eye(len(e), dtype=w.dtype) * (1e-12 * jnp.trace(S) + jnp.finfo(w.dtype).tiny)
 
         def corrected(d, _):
-            """Evaluate a step. Return a corrected step, the new w and its merit."""
+            """Evaluate the constraints after a step d. Return the step with a second-order
+            correction of the end, the uncorrected w, and its merit."""
             new = jnp.clip(w + d.reshape(w.shape), lowest, highest)
             equal, below = s.rows(new)
             value = (cost * new).sum() + penalty(equal, below)

@@ -114,7 +114,7 @@ def _time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     flat = jnp.sqrt(jnp.finfo(dtype).eps)
 
     def rows(k, low, high):
-        """Return the half-planes a u + b x <= c of step k, for a final x in [low, high].
+        """Return the constraints a u + b x <= c of step k, for a final x in [low, high].
 
         x is the squared path speed at the start of the step, and u the path acceleration.
         """
@@ -163,7 +163,8 @@ def _fastest(rates: jax.Array) -> jax.Array:
 
 
 def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
-    """Compute the largest x (n,) by the limits of rates, at one end of the steps."""
+    """Compute the largest squared path speed x (n,) within the limits of rates, at one end of the
+    steps."""
     v = side.twist
     steer = _fastest(p.bends) / limits.steering_rate
     ways = [
@@ -173,7 +174,7 @@ def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
 
 
 def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
-    """Compute the bounds of x in [0, cap] for which some u satisfies a u + b x <= c."""
+    """Compute the interval of x in [0, cap] for which some u satisfies all a u + b x <= c."""
     # row i bounds u from above, row j from below; a row without u bounds x directly
     i, j, flat = a > 0, a < 0, a == 0
     eps = 64 * jnp.finfo(a.dtype).eps

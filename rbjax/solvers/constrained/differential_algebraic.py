@@ -351,7 +351,7 @@ def choose_by_memory(
 
 
 def solve_by_corrections(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """Refine push(x) = b with an approximate inverse `nearly`. Return x and convergence."""
+    """Solve push(x) = b by corrections nearly(b - push(x)). Return x and whether it converged."""
     return add_corrections(lambda x: nearly(b - push(x)), b, n)
 
 
@@ -390,7 +390,7 @@ def add_corrections(
 def is_rounding(
     now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
 ) -> jax.Array:
-    """Return whether corrections are rounding, relative to y; `noise` is its largest size."""
+    """Return whether the next correction is rounding, or corrections stall below `noise`."""
     eps = float(jnp.finfo(now.dtype).eps)
     noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)

@@ -98,7 +98,8 @@ def magnitude(p: Poly) -> Poly:
 
 
 def clean(p: Poly, size: Poly) -> Poly:
-    """Return p without coefficients that are rounding, or a printed last digit, of `size`."""
+    """Set coefficients of p to zero that are at most a rounding error, or an error of the last
+    printed digit, of the coefficients of `size`."""
     return poly(0 if abs(c) <= PRINTED * s else c for c, s in zip(p, size, strict=False))
 
 

@@ -221,7 +221,8 @@ def _mirrored(p: Poly) -> Poly:
 
 
 def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> float:
-    """Return the end of the stable intervals that start at zero; inf if all are stable."""
+    """Return the end of the first run of stable intervals from zero, inf if all intervals are
+    stable."""
     intervals = between(points, Fraction(0))
     reached = Fraction(0)
     for end, mid in intervals:

@@ -130,12 +130,14 @@ class Channel:
         return float(np.median(np.diff(self.t)))
 
     def drop(self, dropped: Any) -> Channel:
-        """Mark samples as missing, by a mask (samples,) or (samples, columns)."""
+        """Return the channel with the samples of a mask (samples,) or (samples, columns) marked as
+        missing."""
         mask = ~self.arrived | _mask(dropped, self.values.shape)
         return self.replace(self.t, np.where(mask, np.nan, self.values))
 
     def replace(self, t: Any, values: Any) -> Channel:
-        """Replace clock and values, in SI. NaN is a missing sample."""
+        """Return the channel with another clock t in s and other values in SI. NaN is a missing
+        sample."""
         return Channel(t, values, self.names, noise=self.noise, dropped="nan")
 
 

@@ -36,7 +36,7 @@ class Motion(NamedTuple):
 
 
 def _seconds(x: Any) -> Any:
-    """Convert a number to float, and return other values unchanged for `_check_time` to reject."""
+    """Convert a number to float. Return other values unchanged: `_check_time` rejects them."""
     return float(x) if isinstance(x, (int, float, np.number)) else x
 
 

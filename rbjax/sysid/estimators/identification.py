@@ -162,6 +162,7 @@ def _result(stages: StagedFit, best: Fit, dtype: Any) -> Identified:
     statistics = fit_statistics(
         [*names, *(f"start[{k}]" for k in range(of.size - n))], minimum.x,
         of.columns(minimum.x, stated), bounds=stages.unknowns.limits(stages.setup),
+        factor=minimum.triangle[:, :-1],
     )  # fmt: skip
     values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, stages.first))
     return Identified(

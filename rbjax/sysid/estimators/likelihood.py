@@ -90,8 +90,9 @@ class Likelihood:
         self.drives, self.reads = (np.flatnonzero(x) for x in (drives, reads))
         self.size = n + self.drives.size + self.reads.size
         self.levels = levels
-        dynamics = dynamics_of("prediction_error", setup.model, free_motion, None)
-        integrator = integrator_of("prediction_error", grid.integrator, dynamics)
+        at, model = "prediction_error", setup.model
+        dynamics = dynamics_of(at, model, free_motion, None)
+        integrator = integrator_of(at, grid.integrator_of(model), dynamics, model)
 
         def space(now: Setup) -> StateSpace:
             model, T, count = now.model, grid.period, grid.substeps
@@ -236,7 +237,10 @@ class Likelihood:
 def _score_rows(
     z: jax.Array, S: jax.Array, dz: jax.Array, dS: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the rows J (m + m m, n) and r (m + m m,) of one sample; dz (n, m), dS (n, m, m)."""
+    """Compute the rows J (m + m m, n) and r (m + m m,) of one sample.
+
+    z, S: innovation (m,) and its covariance. dz, dS: their derivatives (n, m) and (n, m, m).
+    """
     L = jnp.linalg.cholesky(S)
     half = functools.partial(solve_triangular, L, lower=True)
     e = half(z)

@@ -229,7 +229,8 @@ def search_together(of: SimulationError, starts: Sequence[np.ndarray], **how: An
 
 @functools.lru_cache(maxsize=4)
 def _batched(one: Programs) -> tuple[Callable, Callable]:
-    """Compile the residuals and slopes for several x (K, runs, n + l) of the same runs."""
+    """Compile residuals and slopes for several parameter vectors x (K, runs, n + l) of the same
+    runs."""
     f, g = (jax.jit(jax.vmap(f, (0, None))) for f in (one.residuals, one.slopes))
     return f, g
 

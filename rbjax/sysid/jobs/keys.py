@@ -243,7 +243,7 @@ def index_of(setup: Setup, leaf: str, index: Any) -> Any:
 
 
 def _rows(setup: Setup, leaf: str, value: np.ndarray, index: Any) -> Any:
-    """Convert an index of the first axis."""
+    """Convert an index on the first axis of a leaf. Names of entries become integers."""
     if isinstance(index, list):
         return np.concatenate([np.atleast_1d(_rows(setup, leaf, value, x)) for x in index])
     if not isinstance(index, str):

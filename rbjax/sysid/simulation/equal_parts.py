@@ -88,7 +88,8 @@ def _structure(model: Model, part: Part) -> tuple:
 
 
 def extract_part(setup: Setup, part: Part) -> Setup:
-    """Extract the set-up of one part, with numbers as names: equal parts share a program."""
+    """Extract the set-up of one part. Its bodies and joints get numbers as names, equal in all
+    parts."""
     model, top, at = setup.model, setup.model.topology, part.joints
     parents, kinds, bodies, driven, acting = _structure(model, part)
     body_names, joint_names, actuator_names = (
@@ -139,8 +140,9 @@ def simulate_parts(
     tree: Any = each[0][1]
     makers, constants, traced = _separate([leaves for leaves, _ in each])
 
-    if isinstance(grid.integrator, str):  # a loop over the stages makes the program short
-        grid = grid._replace(integrator=loop_stages(grid.integrator))
+    integrator = grid.integrator_of(now.model)
+    if isinstance(integrator, str):  # a loop over the stages makes the program short
+        grid = grid._replace(integrator=loop_stages(integrator))
 
     def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
         return prepare_setup(jax.tree.unflatten(tree, [make(*numbers) for make in makers]))
@@ -188,7 +190,10 @@ def _separate(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Arr
 
 
 def _maker(entries: list[Any], shape: tuple[int, ...], dtype: Any) -> Callable:
-    """Create the function that builds a leaf from its common entries and entries of two vectors."""
+    """Return a function of two vectors that makes an array of a shape and dtype.
+
+    entries: for each entry of the array, a number, or (index of the vector, index in the vector).
+    """
 
     def make(*vectors: jax.Array) -> Any:
         if not any(isinstance(e, tuple) for e in entries):

@@ -78,6 +78,13 @@ class Colouring(NamedTuple):
             found.append((np.flatnonzero(part_of_row == part), np.flatnonzero(own)))
         return found
 
+    def basis(self, part: int) -> np.ndarray:
+        """Return the weights (K, n), with zeros for unknowns that do not act on a part. `ALL`: no
+        zeros."""
+        if part == ALL:
+            return self.weights
+        return self.weights * np.isin(self.part_of_unknown, (part, ALL))
+
     def expand(self, J: np.ndarray, times: dict[str, int]) -> np.ndarray:
         """Expand the derivatives (..., rows, K) along the seeds to J (..., rows, n)."""
         found = np.zeros((*J.shape[:-1], len(self.part_of_unknown)))

@@ -7,6 +7,7 @@ share a program if they differ only in the values of the unknowns.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +37,26 @@ class _Entry:
             return False
         same = _same((self.how, self.unknowns.names), (how, unknowns.names))
         members = [tuple(u.members.items()) for u in (self.unknowns, unknowns)]
-        return same and _same(*members) and _differ_in_unknowns(self.setup, setup, unknowns)
+        return same and _same(*members) and self._differs_in_unknowns(setup)
+
+    def _differs_in_unknowns(self, setup: Any) -> bool:
+        """Check that a set-up is equal, or differs only in the values of the unknowns."""
+        x, y = jax.tree.leaves(self.setup), jax.tree.leaves(setup)
+        kinds: list[Any] = [jax.tree.structure(s) for s in (self.setup, setup)]
+        if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):
+            return False
+        if all(map(_equal, x, y)):
+            return True
+        p, leaves = self._written
+        return all(map(_equal, leaves, jax.tree.leaves(self.unknowns.write(setup, p))))
+
+    @functools.cached_property
+    def _written(self) -> tuple[jax.Array, list[Any]]:
+        """Return values p of the unknowns, and the leaves of the set-up with these values."""
+        guess = np.asarray(self.unknowns.read(self.setup))
+        # avoid p = 0, since a factor p would hide another number
+        p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)
+        return p, jax.tree.leaves(self.unknowns.write(self.setup, p))
 
 
 _cache: list[_Entry] = []
@@ -58,7 +78,7 @@ def get_cached(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: A
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Compare two values. Arrays, such as an index, are compared entry by entry."""
+    """Return whether two values are equal, with arrays compared entry by entry."""
     if a is b:
         return True
     if type(a) is not type(b):
@@ -75,20 +95,6 @@ def _same(a: Any, b: Any) -> bool:
         return bool(a == b)
     except ValueError:  # for arrays within another type
         return False
-
-
-def _differ_in_unknowns(a: Any, b: Any, unknowns: Unknowns) -> bool:
-    """Check that two set-ups are equal, or differ only in the values of the unknowns."""
-    x, y = jax.tree.leaves(a), jax.tree.leaves(b)
-    kinds: list[Any] = [jax.tree.structure(s) for s in (a, b)]
-    if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):
-        return False
-    if all(map(_equal, x, y)):
-        return True
-    guess = np.asarray(unknowns.read(b))
-    # avoid p = 0, since a factor p would hide another number
-    p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)
-    return all(map(_equal, *(jax.tree.leaves(unknowns.write(s, p)) for s in (a, b))))
 
 
 def _same_kind(x: Any, y: Any) -> bool:

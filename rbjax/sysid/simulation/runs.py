@@ -16,6 +16,7 @@ import numpy as np
 from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.motion.integrators import integrator_of
 from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation.setup import Grid, Setup
@@ -46,7 +47,8 @@ class Run(NamedTuple):
 def _check_grid(setup: Setup, grid: Grid) -> None:
     instance("identify", "grid", grid, Grid, "a Grid(period)")
     period = real_number("identify", "period of the grid", grid.period, "seconds above 0", above=0)
-    integrator_of("identify", grid.integrator)
+    dynamics = dynamics_of("identify", setup.model, free_motion, None, steps=True)
+    integrator_of("identify", grid.integrator, dynamics, setup.model)
     integer("identify", "substeps of the grid", grid.substeps, least=1)
     integer("identify", "longest_delay of the grid", grid.longest_delay, least=0)
     delay = 0.0 if setup.delay is None else float(np.max(np.asarray(setup.delay)))

@@ -23,7 +23,8 @@ from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import with_constants
 from rbjax.model.record import Record
-from rbjax.motion.integrators import Integrator
+from rbjax.motion.field import dynamics_of, free_motion
+from rbjax.motion.integrators import Integrator, default_integrator
 from rbjax.motion.step import step
 from rbjax.sensors import Columns, Context, Sensor, sensor_of
 from rbjax.sysid.simulation.parallel_in_time import simulate_windows
@@ -139,14 +140,22 @@ class Grid(NamedTuple):
         period: time in s for which a command holds.
         substeps: number of steps in a period. 0 in `identify` and `many_starts`: as many as the
             recordings need, by a check with steps of half the length.
-        integrator: integrator, as in `rollout`.
+        integrator: integrator, as in `rollout`. None: with contacts the default of `rollout`, which
+            is the integrator of the file for MuJoCo's contacts, else "rk4".
         longest_delay: largest delay of a command in periods; 0 for no delay.
     """
 
     period: float
     substeps: int = 1
-    integrator: str | Integrator = "rk4"
+    integrator: str | Integrator | None = None
     longest_delay: int = 0
+
+    def integrator_of(self, model: Model) -> str | Integrator:
+        """Return the integrator of the steps of a model."""
+        if self.integrator is not None:
+            return self.integrator
+        dynamics = dynamics_of("Grid", model, free_motion, None, steps=True)
+        return default_integrator(dynamics, model, "rk4")
 
 
 class Path(NamedTuple):
@@ -259,10 +268,11 @@ def period_step(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
     which are None if they are equal to the commands.
     """
     model, T, n = setup.model, grid.period, grid.substeps
+    integrator = grid.integrator_of(model)
     controls = functools.partial(_controls, setup, grid)
 
     def advance(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
-        return step(model, state, ctrl, h, t=t, integrator=grid.integrator)
+        return step(model, state, ctrl, h, t=t, integrator=integrator)
 
     def computed(ctrl: jax.Array) -> jax.Array | None:
         return None if setup.controller is None else ctrl

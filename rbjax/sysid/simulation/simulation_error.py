@@ -25,7 +25,7 @@ from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.equal_parts import equal_parts, simulate_parts
-from rbjax.sysid.simulation.jacobian_colouring import Colouring, colour_jacobian
+from rbjax.sysid.simulation.jacobian_colouring import ALL, Colouring, colour_jacobian
 from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
@@ -217,7 +217,7 @@ class SimulationError:
         return self.programs.colour(frozenset(self.runs.values))
 
     def _seeded_slopes(self, x: np.ndarray) -> Any:
-        """Compute r (runs, rows) and its derivatives along the seeds.
+        """Compute r (runs, rows) and its derivatives along the seeds of `colouring`.
 
         The last result is cached, since the statistics of a fit use the derivatives of its last
         step.
@@ -260,8 +260,8 @@ class SimulationError:
 
         `stated` are the sensors with stated noise.
         """
-        residuals, slopes = map(self.rows_of, self.slopes(x))
-        n, l = self.shared, self.own
+        residuals, slopes = map(self.rows_of, self._seeded_slopes(x))
+        bases, n, l = self._bases(), self.shared, self.own
         which = [np.r_[0:n, n + k * l : n + (k + 1) * l] for k in range(self.count)]
         clocks = {s: np.asarray(t) for s, t in self.runs.times.items()}
         step = min(_median_step(t) for t in clocks.values())
@@ -273,14 +273,15 @@ class SimulationError:
             for c in range(r.shape[2]):
                 runs = []
                 for k in range(self.count):
-                    rows = measured[k, :, c]
+                    # a slice does not copy the derivatives
+                    rows = slice(None) if measured[k, :, c].all() else measured[k, :, c]
                     off, J = r[k, rows, c], slopes[sensor][k, rows, c]
                     psi, inside = off, np.ones(len(off), bool)
                     if self.loss == "huber":  # a large residual is sign sqrt(2 rho)
                         inside = np.abs(off) < HUBER
                         psi = np.where(inside, off, HUBER * np.sign(off))
                         J = J * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
-                    runs.append(Rows(J, psi, inside, place[k][rows], which[k]))
+                    runs.append(Rows(J, psi, inside, place[k][rows], which[k], bases[sensor][c]))
                 if any(len(rows.psi) for rows in runs):
                     found.append(Column(f"{sensor}[{c}]", runs, sensor in stated))
         priors, none = self.unknowns.prior_rows(x[:n]), np.zeros(0, int)
@@ -289,6 +290,24 @@ class SimulationError:
             rest = [Rows(J[:0], none, none, none, at) for at in which[1:]]
             first = Rows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
             found.append(Column("prior", [first, *rest], True))
+        return found
+
+    def _bases(self) -> dict[str, list[np.ndarray | None]]:
+        """Return the matrix from derivatives along the seeds to derivatives by x, by sensor and
+        column. Equal matrices are one object."""
+        coloured = self.colouring
+        found: dict[str, list[np.ndarray | None]] = {}
+        by_part: dict[int, np.ndarray] = {}
+        for sensor, values in self.runs.values.items():
+            size = values.shape[-1]
+            found[sensor] = [None] * size
+            if coloured is not None:
+                parts = [ALL] * size
+                if coloured.part_of_column is not None:
+                    parts = [int(part) for part in coloured.part_of_column[sensor]]
+                for part in parts:
+                    by_part.setdefault(part, coloured.basis(part))
+                found[sensor] = [by_part[part] for part in parts]
         return found
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
@@ -302,8 +321,8 @@ class SimulationError:
         return triangle_of(np.concatenate([R, wide]))
 
     def assemble(self, r: Any, J: Any) -> np.ndarray:
-        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their seed
-        derivatives."""
+        """Compute R with R^T R = [J r]^T [J r] from the residuals r (runs, rows) and their
+        derivatives J along the seeds of `colouring`."""
         n, coloured = self.shared + self.own, self.colouring
         both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
         parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
@@ -328,7 +347,8 @@ class SimulationError:
         return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widen(self, rows: np.ndarray, k: int) -> np.ndarray:
-        """Expand rows [J r] of run k from its n unknowns and l corrections to all columns of x."""
+        """Expand the columns of rows [J r] of run k to all unknowns and all corrections of x.
+        Columns of the corrections of other runs are zero."""
         p, l = self.shared, self.own
         wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]

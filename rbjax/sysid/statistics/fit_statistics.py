@@ -40,11 +40,13 @@ class Rows(NamedTuple):
     """The rows of the least-squares problem from one column in one run.
 
     Fields:
-        J: (m, k) derivatives by the entries `which` of x.
+        J: (m, d) derivatives along d directions.
         psi: (m,) residual, clipped for "huber".
         inside: (m,) psi', which is 1, or 0 if clipped.
         place: (m,) index of the sample in the run.
         which: (k,) indices of x.
+        basis: (d, k) matrix. The derivatives by the entries `which` of x are J basis. None: the
+            identity.
     """
 
     J: np.ndarray
@@ -52,6 +54,12 @@ class Rows(NamedTuple):
     inside: np.ndarray
     place: np.ndarray
     which: np.ndarray
+    basis: np.ndarray | None = None
+
+    def times(self, matrix: np.ndarray) -> np.ndarray:
+        """Multiply the derivatives by x, (m, n), with a matrix (n, r)."""
+        own = matrix[self.which]
+        return self.J @ (own if self.basis is None else self.basis @ own)
 
 
 class Column(NamedTuple):
@@ -88,15 +96,21 @@ class FitStatistics:
 
 def fit_statistics(
     names: Sequence[str], x: np.ndarray, columns: Sequence[Column],
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None, factor: np.ndarray | None = None,
 ) -> FitStatistics:  # fmt: skip
-    """Compute covariance and intervals of the estimates x (n,)."""
+    """Compute covariance and intervals of the estimates x (n,).
+
+    factor: (.., n) with factor^T factor = sum J^T J, if it is known. It saves a QR factorisation
+    unless residuals are clipped.
+    """
     shares = [_mean([r.inside for r in column.runs]) for column in columns]
-    R = _slopes(columns, shares, len(x))
+    if factor is None or any(a != 1 for a in shares):
+        factor = _slopes(columns, shares, len(x))
+    R = factor
     flat = estimates(names, x, R, 1.0, bounds=bounds)
     lengths, s, V, _ = decomposed(R, tolerance_for(R))
     half = V / s / lengths[:, None]  # half half^T = H^-1
-    scaled = [[rows.J @ half[rows.which] for rows in column.runs] for column in columns]
+    scaled = [[rows.times(half) for rows in column.runs] for column in columns]
     rank = half.shape[1]
     counts = np.array([sum(len(rows.psi) for rows in column.runs) for column in columns])
     squares = np.array([sum(float(rows.psi @ rows.psi) for rows in c.runs) for c in columns])
@@ -130,16 +144,23 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """Compute R (.., n) with R^T R = sum_c a_c J_c^T J_c, for the mean slopes a_c (`shares`)."""
-    by_run = [[column.runs[k] for column in columns] for k in range(len(columns[0].runs))]
+    """Compute the triangular R with R^T R = sum_c a_c J_c^T J_c over columns c.
+
+    shares: a_c, the mean derivative of psi in each column.
+    n: number of entries of x.
+    """
     parts = []
-    for run in by_run:
-        which = run[0].which
-        rows = np.concatenate([np.sqrt(a) * r.J for a, r in zip(shares, run, strict=True)])
-        R = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
-        wide = np.zeros((len(R), n))
-        wide[:, which] = R
-        parts.append(wide)
+    for k in range(len(columns[0].runs)):
+        by_basis: dict[int, list[tuple[float, Rows]]] = {}
+        for a, column in zip(shares, columns, strict=True):
+            by_basis.setdefault(id(column.runs[k].basis), []).append((a, column.runs[k]))
+        for run in by_basis.values():
+            basis, which = run[0][1].basis, run[0][1].which
+            rows = np.concatenate([np.sqrt(a) * r.J for a, r in run])
+            R = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+            wide = np.zeros((len(R), n))
+            wide[:, which] = R if basis is None else R @ basis
+            parts.append(wide)
     whole = np.concatenate(parts)
     return np.asarray(np.linalg.qr(whole, mode="r")) if len(parts) > 1 else whole
 
@@ -203,6 +224,10 @@ def _scores(
             e[1:] -= r * rows.psi[:-1]
             v = signal.lfilter([1.0], [1.0, -r], G[::-1], axis=0)[::-1].copy()
             e[0], v[0] = e[0] * first, v[0] / first
-            np.add.at(g, rows.place, v * e[:, None])
+            v *= e[:, None]
+            if (np.diff(rows.place) > 0).all():  # no sample twice
+                g[rows.place] += v
+            else:
+                np.add.at(g, rows.place, v)
         found.append(g)
     return found

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import signal, stats
+from scipy import signal, special
 
 from rbjax.arguments import integer
 from rbjax.errors import InputError
@@ -95,7 +95,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
     every = every / every[0]
     rho = every[1 : h + 1]
     statistic = float(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, h + 1))))
-    p = float(stats.chi2.sf(statistic, h))
+    p = float(special.chdtrc(h, statistic))
     pairs = every[: 2 * (n // 2)].reshape(-1, 2).sum(1)  # positive for a reversible process
     first = int((pairs <= 0).argmax()) if (pairs <= 0).any() else len(pairs)
     effective = n / max(1.0, 2 * pairs[:first].sum() - 1)

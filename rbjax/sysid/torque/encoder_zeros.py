@@ -132,9 +132,9 @@ def regress_with_zeros(
 
 
 def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> tuple[Array, Array]:
-    """Assemble the equations for the parameters and the changes of all zeros.
+    """Assemble linear equations for the parameters and the changes of all zeros.
 
-    Return the matrix, with rows of the prior for each recording, and the right side of these rows.
+    Return the matrix, whose last rows are the prior of the zeros, and the right side of these rows.
     """
     blocks, (runs, k) = [], zeros.shape
     for i, (r, z) in enumerate(zip(rows, zeros, strict=True)):

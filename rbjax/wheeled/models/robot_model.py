@@ -71,7 +71,7 @@ class RobotModel(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method full_velocities")
 
     def accelerations(self, context: RobotContext) -> list[Lane]:
-        """Compute v'."""
+        """Compute the accelerations v' (nv lanes)."""
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
     def damped_accelerations(self, context: RobotContext, h: Lane) -> list[Lane]:
@@ -79,7 +79,7 @@ class RobotModel(Record):
         return self.accelerations(context)
 
     def tyre_rates(self, context: RobotContext) -> list[Lane]:
-        """Compute x'."""
+        """Compute the rates x' of the tyre states (nx lanes)."""
         return []
 
     def project(self, context: RobotContext) -> list[Lane]:
@@ -98,11 +98,11 @@ class RobotModel(Record):
         )
 
     def coordinate_rates(self, context: RobotContext) -> list[Lane]:
-        """Compute q'."""
+        """Compute the rates q' of the coordinates (nq lanes)."""
         return coordinate_rates(context, self.full_velocities(context))
 
     def rates(self, context: RobotContext) -> tuple[list[Lane], list[Lane], list[Lane]]:
-        """Compute q', v', x'."""
+        """Compute the rates q', v' and x' of the state."""
         rates = self.coordinate_rates(context)
         return rates, self.accelerations(context), self.tyre_rates(context)
 

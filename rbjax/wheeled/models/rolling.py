@@ -218,7 +218,7 @@ class QuasiVelocities(Rolling):
         p, by_angles = impulse(s, w), jax.grad(energy)(s, w)
 
         def impulse_rate(rate: jax.Array) -> jax.Array:
-            """Compute p' for a rate w'."""
+            """Compute the rate p' of the generalized momentum for a rate w' of the velocities."""
             return jax.jvp(impulse, (s, w), (ds, rate))[1]
 
         carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
@@ -240,7 +240,8 @@ class QuasiVelocities(Rolling):
         return ldlt(M).solve([f[i] for i in size])
 
     def _forces(self, context: RobotContext, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
-        """Compute Q: minus the gradient of the potential energy, plus the torques on shafts."""
+        """Compute the generalized forces Q: minus the gradient of the potential energy, plus the
+        torques on shafts."""
         n, dtype = context.n, context.n.dtype
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:

@@ -155,8 +155,8 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
 
 
 def _zero(robot: Robot) -> float:
-    """Return the relative tolerance of the rank. It allows for the error 1e-7 of a heading pi in
-    f32."""
+    """Return the tolerance of rank decisions, for the dtype of the headings (a heading of pi has an
+    error)."""
     dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
     return rank_tolerance("wheels", dtype)
 

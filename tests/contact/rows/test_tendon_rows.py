@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.contact.contact_rows import Options
+from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.tendon_rows import tendon_rows
 from rbjax.contact.rows.tendon_weights import tendon_weights
 from rbjax.forces.context import Context

@@ -200,7 +200,8 @@ class End(NamedTuple):
 
 
 def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array]:
-    """Return y and weight, with y + weight * (d rows) the multipliers after a Newton step."""
+    """Return y and weight: the multipliers of the rows after a Newton step are y + weight * dc. dc
+    is the change of the row values by the step."""
     wall, stiff, share = _springs(rows, w)
     off = rows.off(values)
     y = wall + share * (stiff * w.soft * (rows.centre - wall) + stiff * off)
@@ -211,7 +212,8 @@ def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax
 def row_step(
     values: jax.Array, d: jax.Array, rows: Rows, w: Weights
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the Newton steps of slacks and of equation multipliers for a change d of rows."""
+    """Compute the Newton steps of the slacks and of the multipliers of equations. d is the change
+    of the row values by the step."""
     wall, _, share = _springs(rows, w)
     off = rows.off(values) + d
     ds = share * (w.soft * (rows.centre - wall) + off)

@@ -234,8 +234,7 @@ class Transcribed(NamedTuple):
         return step, Multipliers(costates - l.costates, duals, (dy, dy_end), none)
 
     def moves(self, step: Step) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return the changes of the unknowns with bounds: controls, parameters, slacks of path and
-        end."""
+        """Return the steps of bounded unknowns: controls, parameters, slacks of path and end."""
         return step.us, step.dx[0, self.problem.system.n :], step.path, step.end
 
     def reach(

@@ -149,7 +149,7 @@ def solve(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
 
 
 def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
-    """Solve the system in which active rows have -1/rho on their diagonal."""
+    """Solve the KKT system, regularized by -1/rho on the diagonal of active rows."""
     rho = f.rho
     rows, ends = rho * e.path * r.path, rho * e.end * r.end
 

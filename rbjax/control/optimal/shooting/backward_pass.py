@@ -74,7 +74,7 @@ def box_gains(
 
 
 def gains(H: jax.Array, g: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return -H^-1 (G, g) without bounds, and whether H is positive definite."""
+    """Compute -H^-1 G (m, n) and -H^-1 g (m,) as one array, and whether H is positive definite."""
     L = factor_of(H)
     return solved(L, -jnp.concatenate([G, g[:, None]], 1)), is_factor(L)
 

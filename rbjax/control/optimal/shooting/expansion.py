@@ -81,7 +81,8 @@ def quadratic(
 def _second_order_in(
     f: Any, zero: jax.Array, basis: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the cost of a term and its first and second derivatives along the rows of `basis`."""
+    """Return the cost f(0) of a term, and its gradient and Hessian along the rows of `basis`. A
+    term with residuals r has the cost r.r / 2 and a Gauss-Newton Hessian."""
     value = f(zero)
     if value.ndim:
         J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)

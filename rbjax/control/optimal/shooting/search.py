@@ -173,9 +173,13 @@ def decide(
     change = stationary & ~done
     penalty, failing = next_penalty(now.penalty, off, now.violation_before, satisfied)
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)
-    renewed = rests & here & renews(now, off, satisfied)
+    renewed = rests & here & renews(now, cost, off, satisfied)
     softer = jnp.maximum(now.penalty / HARDER, PENALTY)
-    penalty = jnp.where(renewed & satisfied, softer, penalty)
+    softens = renewed & satisfied
+    penalty = jnp.where(softens, softer, penalty)
+    # multipliers of a harder penalty carry its rounding, which violates the constraints more with
+    # a softer one: the next violation has nothing to compare with
+    before = jnp.where(softens, jnp.inf, off)
     status = jnp.where(renewed & (status == STUCK), GOING, status)
     change = change | renewed
     status = jnp.where(hopeless, INFEASIBLE, status)
@@ -183,7 +187,7 @@ def decide(
     change = change & (status == GOING)  # a search that ends keeps its multipliers
     after = SearchState(
         feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, scale, decrease, off,
-        jnp.where(change, off, now.violation_before),
+        jnp.where(change, before, now.violation_before).astype(dtype),
         jnp.where(change, inner, now.inner_tolerance), iterations,
         jnp.where(done, CONVERGED, status), jnp.where(change, penalty, now.penalty),
         jnp.where(change, jnp.inf, reference).astype(dtype), jnp.where(change, 0, stalled),
@@ -191,24 +195,31 @@ def decide(
     return Decision(after, best, length, accepted, change)
 
 
-def renews(now: SearchState, violation: jax.Array, satisfied: jax.Array) -> jax.Array:
+def renews(
+    now: SearchState, cost: jax.Array, violation: jax.Array, satisfied: jax.Array
+) -> jax.Array:
     """Return whether a search at rest gets new multipliers, before it ends as stuck.
 
     At rest the merit function falls no further than its rounding. New multipliers reduce the
-    violation. If the constraints are satisfied, a smaller penalty has the same optimum, and its
-    rounding hides less of the gradient.
+    violation, and so does a harder penalty, as long as rounding hides the violation c: penalty
+    c^2 / 2 is less. If the constraints are satisfied, a smaller penalty has the same optimum, and
+    its rounding hides less of the gradient.
     """
-    falls = (violation < now.violation_before) | (now.penalty < HARDEST_AT_REST)
+    hidden = 0.5 * now.penalty * violation * violation <= rounding(cost)
+    hardest = jnp.where(hidden, PENALTY_MOST, HARDEST_AT_REST)
+    falls = (violation < now.violation_before) | (now.penalty < hardest)
     return jnp.where(satisfied, now.penalty > SOFTEST_AT_REST, falls)
 
 
 def _small(
     now: SearchState, values: IterationValues, decrease: Any, share: Any, tolerance: Any
 ) -> jax.Array:
-    """Return whether the search has converged, by the expected decrease and the gradient.
+    """Return whether the search has converged, by the expected decrease of the cost and the
+    gradient.
 
-    The gradient must be small only if the control Hessians are regularised.
-    share: factor of the tolerance, the scale of the cost.
+    The gradient has to be small only if the control Hessians are regularised.
+
+    tolerance: relative to `share`, the scale of the cost.
     """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
     return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
@@ -268,7 +279,7 @@ def search(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
     options: Options, history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
-    """Solve a problem with the steps of a policy."""
+    """Solve a problem by iterations whose steps a `StepPolicy` tries and accepts."""
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # L then has the augmented gradient

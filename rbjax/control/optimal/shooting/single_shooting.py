@@ -58,7 +58,7 @@ class Shooting(NamedTuple):
     first: Knot
 
     def knots(self, w: Unknowns) -> tuple[Knot, jax.Array]:
-        """Roll out the unknowns; return the motion and its controls."""
+        """Simulate the motion of unknowns w. Return its knots and controls."""
         problem = self.problem
         us = from_unbounded(w.us, problem.low, problem.high)
         ns = problem.system.n
@@ -127,7 +127,11 @@ class Target(NamedTuple):
     def stationarity(
         self, w: Unknowns, cost: jax.Array, slope: Unknowns
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the squared scaled gradient over the cost, and whether it is small."""
+        """Return the squared scaled gradient divided by the cost, and whether the gradient is
+        small.
+
+        slope: gradient of the cost by the unknowns w.
+        """
         parts = jax.tree.map(lambda x, g: ((g * jnp.maximum(1, jnp.abs(x))) ** 2).sum(), w, slope)
         square, share = sum(parts), jnp.maximum(self.scale, jnp.abs(cost))
         small = square <= self.tolerance * share**2
@@ -308,7 +312,8 @@ def _multiplier_iterations(
     s: Shooting, w: Unknowns, l: Multipliers, target: Target, violation: jax.Array,
     costs: jax.Array, search: Inner,
 ) -> tuple[InnerResult, Multipliers, jax.Array]:  # fmt: skip
-    """Run searches in sequence, each with updated multipliers and a smaller tolerance."""
+    """Run searches in sequence, with updated multipliers and a smaller tolerance after each of
+    them. Return the last search, the multipliers and the largest constraint violation."""
     big, least = jnp.asarray(jnp.inf, w.us.dtype), target.tolerance
 
     def turn(now: tuple) -> tuple:

@@ -1,0 +1,26 @@
+"""The state of a robot."""
+
+from __future__ import annotations
+
+import jax
+
+from rbjax.model.record import Record
+
+
+class State(Record):
+    """The state of a robot.
+
+    q: (nq,) configuration, in MuJoCo's layout.
+    v: (nv,) velocity.
+    x: (nx,) states of the force elements; None stands for their initial states, or for no states.
+    memory: (m,) values that a dynamics keeps between steps (`VelocityDynamics`), or None.
+    report: (2,) number of steps whose solver of contacts did not converge, and largest error of a
+        step, or None. A step adds to a report that it is given: begin a loop over `rb.step` with
+        zeros. `rollout` has its own.
+    """
+
+    q: jax.Array
+    v: jax.Array
+    x: jax.Array | None = None
+    memory: jax.Array | None = None
+    report: jax.Array | None = None
