@@ -73,24 +73,7 @@ def _substitute(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
     return [a if isinstance(a, Literal) else env[a] for a in atoms]
 
 
-def _is_plain_program(eqn: JaxprEqn) -> bool:
-    """Return whether an equation calls a program of one sample that has no derivative rule."""
-    if eqn.primitive.name != "threads" or eqn.params["batch"]:
-        return False
-    program = eqn.params["program"]
-    return program.vjp is None and program.for_batch_size is None
-
-
-def without_nested(closed: ClosedJaxpr) -> ClosedJaxpr:
-    """Replace the programs that a jaxpr calls by their equations."""
-    eqns = Equations(nested=True)
-    ins = [Var(v.aval) for v in closed.jaxpr.invars]
-    return eqns.close(ins, eqns.inline(closed, ins, None))
-
-
 def _inner_jaxpr(eqn: JaxprEqn) -> ClosedJaxpr:
-    if eqn.primitive.name == "threads":
-        return eqn.params["program"].closed
     inner = eqn.params["jaxpr" if "jaxpr" in eqn.params else "call_jaxpr"]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
@@ -213,13 +196,9 @@ def _avals(atoms: Sequence[Atom]) -> tuple:
 
 
 class Equations:
-    """A jaxpr under construction: its equations and the constants that they read.
+    """A jaxpr under construction: its equations and the constants that they read."""
 
-    nested: whether programs that a jaxpr calls are replaced by their equations.
-    """
-
-    def __init__(self, *, nested: bool = False) -> None:
-        self.nested = nested
+    def __init__(self) -> None:
         self.eqns: list[JaxprEqn] = []
         self.consts: dict[Var, object] = {}
 
@@ -229,13 +208,18 @@ class Equations:
         self.eqns.append(equation(eqn, ins, outs, at))
         return outs
 
+    def called(self, eqn: JaxprEqn) -> ClosedJaxpr | None:
+        """Return the jaxpr whose equations replace an equation in `inline`, or None."""
+        return _inner_jaxpr(eqn) if eqn.primitive.name in INLINED else None
+
     def inline(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
         """Append the equations of a jaxpr applied to `args`, and return its results."""
         env = self.bind(closed, args)
         for eqn in closed.jaxpr.eqns:
             ins = _substitute(env, eqn.invars)
-            if eqn.primitive.name in INLINED or (self.nested and _is_plain_program(eqn)):
-                outs: Sequence[Atom] = self.inline(_inner_jaxpr(eqn), ins, at)
+            inner = self.called(eqn)
+            if inner is not None:
+                outs: Sequence[Atom] = self.inline(inner, ins, at)
             else:
                 outs = self.append(eqn, ins, at)
             env.update(zip(eqn.outvars, outs, strict=True))

@@ -12,9 +12,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Literal, Var, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
-from rbjax.compiler.jax.derivatives import without_nested
+from rbjax.compiler.jax.derivatives import Equations
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program, traced
 
@@ -56,6 +56,24 @@ class SavedVjp:
     def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
         """Compute the cotangents of the arguments from residuals and cotangents of the results."""
         return self._back(args, left, bars)
+
+
+class _Flat(Equations):
+    """Equations without calls of programs of one sample, except those with a derivative rule."""
+
+    def called(self, eqn: JaxprEqn) -> ClosedJaxpr | None:
+        if eqn.primitive.name == "threads" and not eqn.params["batch"]:
+            program = eqn.params["program"]
+            if program.vjp is None and program.for_batch_size is None:
+                return program.closed
+        return super().called(eqn)
+
+
+def without_nested(closed: ClosedJaxpr) -> ClosedJaxpr:
+    """Replace the programs that a jaxpr calls by their equations."""
+    eqns = _Flat()
+    ins = [Var(v.aval) for v in closed.jaxpr.invars]
+    return eqns.close(ins, eqns.inline(closed, ins, None))
 
 
 def _vjp_of_equations(
