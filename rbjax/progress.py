@@ -30,7 +30,9 @@ def progress_line(label: str, show: bool = True) -> Iterator[Say]:
 
     console = Console(stderr=True, force_jupyter=False)
     columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn(label + ": {task.description}"))
-    quiet = not (show and console.is_terminal)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+    if not (show and console.is_terminal):
+        yield lambda text: None
+        return
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("")
         yield lambda text: bar.update(task, description=text)

@@ -113,7 +113,7 @@ class DiscSlots(NamedTuple):
         axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
         return Row(
             found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], contact, found.candidates[k],
-            unpack(self.bristles[k]), self.latches[k],
+            bristle=unpack(self.bristles[k]), latch=self.latches[k],
         )  # fmt: skip
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:

@@ -53,13 +53,14 @@ def write(
     progress: a function of the number done and the total; None for a progress bar.
     """
     into = gif if path.suffix == ".gif" else mp4
+    console = Console(stderr=True, force_jupyter=False)
+    if progress is None and not console.is_terminal:
+        progress = lambda done, total: None  # noqa: E731
     if progress is not None:
         into(path, _counted(pictures, total, progress), fps)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    console = Console(stderr=True, force_jupyter=False)
-    quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(f"drawing {path.name}", total=total)
         say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
         into(path, _counted(pictures, total, say), fps)

@@ -54,7 +54,8 @@ def time_direction(terms: Any, t: Any) -> Any:
 
 
 def _unit(terms: Any, t: Any) -> Any:
-    """Return the diffrax control over one unit of the solver's time: 1 or -1 for an ODE term."""
+    """Return the diffrax control over one unit of the solver's time. It is 1 or -1 for an
+    ODE term."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 

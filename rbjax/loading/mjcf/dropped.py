@@ -40,7 +40,8 @@ _CURES = {
 
 
 def _named(what: str, m: mujoco.MjModel, kind: mujoco.mjtObj, which: Any) -> str:
-    """Return an entry with the names of the elements at given indices."""
+    """Return an entry of `Model.dropped`: `what`, and the names of the elements at the indices
+    `which`."""
     names = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in which]
     return f"{what} ({listed(names, _SHOWN)})"
 
@@ -112,7 +113,7 @@ def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
 
 
 def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
-    """List an entry for each passive property of joints and tendons with a negative value."""
+    """Return an entry of `Model.dropped` for each passive property with a negative value."""
     joint, tendon, dofs = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON, m.dof_jntid
     fields = [
         ("damping", m.dof_damping, joint, dofs),

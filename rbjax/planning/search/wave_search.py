@@ -189,7 +189,7 @@ class WaveSearch:
     def way_to(self, last: Any) -> tuple[np.ndarray, np.ndarray]:
         """Trace the path from the root to a node. Return its poses (n + 1, 3) and controls (n,).
 
-        last: the node, as nodes of length one.
+        last: the node, as a record of nodes with one entry.
         """
         firsts = np.cumsum([0, *(len(wave.x) for wave in self.visited)])
         places: list[tuple[float, float]] = []

@@ -11,11 +11,12 @@ import numpy as np
 
 from rbjax.arguments import real_array
 from rbjax.constraints import residual
+from rbjax.contact.inverse_weights import with_weights
 from rbjax.dynamics.arguments import check_arrays, check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
-from rbjax.model import Model, State
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.motion.linearise import box_plus, linearise, linearise_rates
 from rbjax.rank_tolerances import rank_tolerance
@@ -135,11 +136,13 @@ def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
 def _rates_and_matrix(model: Model, ctrl: Any) -> Callable[[State], tuple[jax.Array, jax.Array]]:
     """Return `_both` as a function of the state.
 
-    With a contact law the model is a constant of the program, which compiles ten times faster.
+    Link constants and the inverse weights of contacts are precomputed. Otherwise the program, of
+    which the model is an argument, computes them from the model's leaves.
     """
-    if model.contact is None:
-        return lambda state: _both(model, state, ctrl)
-    return jax.jit(lambda state: _both(model, state, ctrl))
+    dtype = model.gravity.dtype
+    weighted = model if model.contact is None else with_weights(model, dtype)
+    known = with_constants(weighted, dtype)
+    return lambda state: _both(known, state, ctrl)
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:

@@ -137,6 +137,7 @@ def _array(rows: Sequence[Lanes], dtype: Any) -> Any:
 
 
 def _known(rows: Sequence[Lanes], units: bool) -> tuple:
-    """Return each entry that is the constant 0 (if `units`, also 1 and -1), else None."""
+    """Return, for each entry, its value if it is the constant 0 (if `units`, also 1 and -1), else
+    None."""
     known = (0.0, 1.0, -1.0) if units else (0.0,)
     return tuple(x if is_literal(x) and x in known else None for row in rows for x in row)

@@ -88,7 +88,7 @@ def test_every_integrator_of_rollout_has_its_solver() -> None:
     """But for the variational one, of which linear theory has the implicit midpoint rule: stable at
     any step, which its fixed number of evaluations does not reach; and for steps that are implicit
     in the velocity, since a matrix A does not say which damping is implicit."""
-    implicit = {"euler_implicit_damping", "implicitfast", "implicit"}
+    implicit = {"euler_implicit_damping", "implicitfast", "implicit", "discrete"}
     assert stability.ROLLOUT.keys() == INTEGRATORS.keys() - {"variational_midpoint"} - implicit
 
 

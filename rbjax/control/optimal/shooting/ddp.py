@@ -128,7 +128,8 @@ def _take_rollout(
 def _decreases_as_expected(
     values: IterationValues, lengths: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of trials that decrease the cost as predicted, and that decrease."""
+    """Return a mask of the trials whose change of the cost agrees with the prediction, and the
+    predicted change of the full step."""
     cross = values.more
     slope, curvature = values.slope + cross, values.curvature - 2 * cross
     expected = lengths * (slope + 0.5 * lengths * curvature)

@@ -165,7 +165,8 @@ def _take_linear_step(
 
 
 def _decreases_merit(values: IterationValues, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return a mask of acceptable trials of least merit phi, and the expected decrease."""
+    """Return a mask of the acceptable trials of least merit phi, and half the slope's absolute
+    value: the expected decrease."""
     change, slope, opening = values.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
