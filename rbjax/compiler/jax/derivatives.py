@@ -208,18 +208,13 @@ class Equations:
         self.eqns.append(equation(eqn, ins, outs, at))
         return outs
 
-    def called(self, eqn: JaxprEqn) -> ClosedJaxpr | None:
-        """Return the jaxpr whose equations replace an equation in `inline`, or None."""
-        return _inner_jaxpr(eqn) if eqn.primitive.name in INLINED else None
-
     def inline(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
         """Append the equations of a jaxpr applied to `args`, and return its results."""
         env = self.bind(closed, args)
         for eqn in closed.jaxpr.eqns:
             ins = _substitute(env, eqn.invars)
-            inner = self.called(eqn)
-            if inner is not None:
-                outs: Sequence[Atom] = self.inline(inner, ins, at)
+            if eqn.primitive.name in INLINED:
+                outs: Sequence[Atom] = self.inline(_inner_jaxpr(eqn), ins, at)
             else:
                 outs = self.append(eqn, ins, at)
             env.update(zip(eqn.outvars, outs, strict=True))

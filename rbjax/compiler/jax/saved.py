@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
+from jax.extend.core.primitives import closed_call_p
 
 from rbjax.compiler.jax.derivatives import Equations
 from rbjax.compiler.jax.primitive import run
@@ -61,12 +62,18 @@ class SavedVjp:
 class _Flat(Equations):
     """Equations without calls of programs of one sample, except those with a derivative rule."""
 
-    def called(self, eqn: JaxprEqn) -> ClosedJaxpr | None:
-        if eqn.primitive.name == "threads" and not eqn.params["batch"]:
-            program = eqn.params["program"]
-            if program.vjp is None and program.for_batch_size is None:
-                return program.closed
-        return super().called(eqn)
+    def inline(self, closed: ClosedJaxpr, args: Sequence[Any], at: JaxprEqn | None) -> list[Any]:
+        eqns = [_as_call(eqn) for eqn in closed.jaxpr.eqns]
+        return super().inline(ClosedJaxpr(closed.jaxpr.replace(eqns=eqns), closed.consts), args, at)
+
+
+def _as_call(eqn: JaxprEqn) -> JaxprEqn:
+    if eqn.primitive.name != "threads" or eqn.params["batch"]:
+        return eqn
+    program = eqn.params["program"]
+    if program.vjp is not None or program.for_batch_size is not None:
+        return eqn
+    return eqn.replace(primitive=closed_call_p, params={"call_jaxpr": program.closed})
 
 
 def without_nested(closed: ClosedJaxpr) -> ClosedJaxpr:

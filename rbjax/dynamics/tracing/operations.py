@@ -137,7 +137,7 @@ _FREE = {
     "optimization_barrier", "pad", "pbroadcast", "pvary", "real", "reduce_max", "reduce_min",
     "reduce_precision", "reshape", "reshard", "rev", "round", "scatter", "scatter-max",
     "scatter-min", "scatter_max", "scatter_min", "select_n", "sharding_constraint", "sign", "slice",
-    "sort", "split", "squeeze", "stack", "tile", "top_k", "transpose", "unstack",
+    "sort", "split", "squeeze", "stack", "stop_gradient", "tile", "top_k", "transpose", "unstack",
 }  # fmt: skip
 
 
