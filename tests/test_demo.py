@@ -36,7 +36,7 @@ def check(section: Section, folder: Path) -> None:
 
 
 def test_motion(tmp_path: Path) -> None:
-    section = motion(tmp_path, quiet, batch=2, scenes=("pendulum",))
+    section = motion(tmp_path, quiet, batch=2, scenes=("cart_pole",))
     check(section, tmp_path)
 
 

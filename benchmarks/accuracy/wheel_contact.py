@@ -1,10 +1,11 @@
 """Rolling as the limit of contact: MuJoCo's wheels, and our slipping tyres, against our rolling.
 
-`python -m benchmarks.accuracy.wheel_contact [ROBOT ...] [--small] [--parts sweeps mjx]`
+`python -m benchmarks.accuracy.wheel_contact [ROBOT ...] [--small] [--parts sweeps mjx laws]`
 
 A manoeuvre of 4 s is run with wheels that roll (`wheeled.at(robot, "kinematical")`, adaptive,
 1e-12); as a file of `wheeled.write_mjcf` in MuJoCo C, with other friction, stiffness (1 / T^2 of
-solref), impratio and timestep; at some points in MJX; and at our fidelity "slipping", with other
+solref), impratio and timestep; at some points in MJX; under rbjax's contact laws, with other shapes
+of wheels (the differential drive); and at our fidelity "slipping", with other
 friction and stiffness of tyres. A distance is the largest of the chassis' origin on the way. All in
 f64; times are of one core, and rough where others use the machine. Results go to
 results/wheel-contact-<device>.json and docs/wheel_contact.png; a run of some robots or parts keeps
@@ -27,6 +28,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+import rbjax as rb
 from benchmarks.accuracy.wheel_contact_chart import draw
 from benchmarks.accuracy.wheel_runs import (
     SECONDS,
@@ -37,10 +39,11 @@ from benchmarks.accuracy.wheel_runs import (
     Touching,
     manoeuvres,
     mjx_poses,
+    touching_law,
 )
 from benchmarks.shared.timing import others, save
 
-NAME, PARTS = "wheel-contact", ("sweeps", "mjx")
+NAME, PARTS = "wheel-contact", ("sweeps", "mjx", "laws")
 FRICTIONS = np.geomspace(0.02, 2.0, 13)
 TIME_CONSTANTS = (0.04, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005)
 IMPRATIOS = (0.01, 1.0, 100.0)
@@ -49,6 +52,10 @@ TIMESTEPS = (0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002)
 STIFF = {"time_constant": 0.002, "impratio": 100.0}
 PER_TIME_CONSTANT = 4  # steps of RK4: a contact's fastest rate is 2 / T
 MJX_DT = 0.001
+#: wheels of geoms under the laws of rbjax: robots; shape, width / radius; steps
+OF_GEOMS = ("differential_drive",)
+SHAPES = (("ellipsoid", 0.25), ("capsule", 0.01))
+LAW_STEPS = (0.002, 0.001)
 MJX_POINTS = ((0.02, 1.0, 10.0), (0.02, 0.05, 10.0), (0.005, 1.0, 1.0), (0.005, 1.0, 100.0))
 
 
@@ -134,6 +141,21 @@ def mjx_rows(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
     return found
 
 
+def law_rows(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
+    """The contact laws of rbjax, for wheels of several shapes and two steps."""
+    if name not in OF_GEOMS:
+        return []
+    rolling, found = Rolling(of), []
+    for law in rb.contact.laws():
+        for shape, width in SHAPES[:1] if small else SHAPES:
+            for dt in LAW_STEPS[:1] if small else LAW_STEPS:
+                row = {"robot": name, "title": of.title, "engine": f"rbjax {law}", "sweep": "laws",
+                       "dt": dt, "shape": shape, "width": width}  # fmt: skip
+                run = touching_law(rolling, law, shape, width, dt)
+                found.append(row | measured(rolling, run))
+    return found
+
+
 def slope(x: list[float], y: list[float]) -> float:
     """Of log y by log x, of a line through the points."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
@@ -146,7 +168,7 @@ def table(rows: list[dict[str, Any]]) -> Table:
         out.add_column(column)
     lines: dict[tuple, list[dict[str, Any]]] = {}
     for row in rows:
-        if row.get("distance"):
+        if row.get("distance") and row["sweep"] != "laws":
             which = row.get("impratio") if row["sweep"] == "stiffness" else row.get("integrator")
             lines.setdefault((row["title"], row["engine"], row["sweep"], which), []).append(row)
     for key, line in lines.items():
@@ -157,6 +179,10 @@ def table(rows: list[dict[str, Any]]) -> Table:
         out.add_row(*map(str, key), f"{best['distance']:.1e}", f"{order:.2f} in {x}",
                     f"{1e6 * best['seconds']:.0f}")  # fmt: skip
     for row in rows:
+        if row["sweep"] == "laws":
+            what = f"{row['shape']}, width {row['width']}, dt {row['dt']}"
+            out.add_row(row["title"], row["engine"], what, "", f"{row['distance']:.1e}", "",
+                        f"{1e6 * row['seconds']:.0f}")  # fmt: skip
         if row["sweep"] == "MJX":
             what = f"T {row['time_constant']}, mu {row['friction']}, impratio {row['impratio']}"
             gap = f"{row['from_mujoco']:.1e} from C"
@@ -167,8 +193,8 @@ def table(rows: list[dict[str, Any]]) -> Table:
 def with_others(rows: list[dict[str, Any]], order: list[str]) -> list[dict[str, Any]]:
     """With what an older run has of other robots and parts."""
 
-    def part(row: dict[str, Any]) -> tuple[str, bool]:
-        return row["robot"], row["sweep"] == "MJX"
+    def part(row: dict[str, Any]) -> tuple[str, str]:
+        return row["robot"], {"MJX": "mjx", "laws": "laws"}.get(row["sweep"], "sweeps")
 
     run = set(map(part, rows))
     older = [row for row in others(NAME, rows, ("robot", "sweep")) if part(row) not in run]
@@ -191,7 +217,9 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for name in given.robots or every:
         for part in given.parts:
-            rows += {"sweeps": sweep_rows, "mjx": mjx_rows}[part](name, every[name], given.small)
+            rows += {"sweeps": sweep_rows, "mjx": mjx_rows, "laws": law_rows}[part](
+                name, every[name], given.small
+            )
             jax.clear_caches()
             if not given.small:
                 save(NAME, with_others(rows, [*every]))

@@ -177,6 +177,32 @@ class Slipping:
         return Run(np.asarray(q[1:, :3]), rms(slides), seconds) if ok else None
 
 
+def touching_law(rolling: Rolling, law: str, shape: str, width: float, dt: float) -> Run:
+    """Wheels of geoms under a contact law of rbjax, as stiff as the step allows."""
+    of = rolling.of
+    text = wheeled.write_mjcf(
+        of.robot, wheel=shape, width=width, timestep=dt, solref=(2 * dt, 1.0),
+        solimp=(0.95, 0.95, 0.001), impratio=100.0,
+    )  # fmt: skip
+    count = round(SECONDS / dt)
+    u = jnp.asarray(of.controls((np.arange(count) + 0.5) * dt, np))
+    full = wheeled.full_model_state(rolling.vehicle, rolling.start, u[0], "free")
+    model, every = rb.load(text), count // SAVED
+
+    def run() -> rb.Trajectory:
+        path = rb.rollout(
+            model, rb.State(full.q, full.v), u, dt, contact=law, save_every=every
+        )  # fmt: skip
+        return jax.block_until_ready(path)
+
+    q = np.asarray(run().q)[1:]
+    begin = time.perf_counter()
+    run()
+    return Run(
+        np.column_stack([q[:, :2], heading(q)]), 0.0, (time.perf_counter() - begin) / SECONDS
+    )
+
+
 def rms(slides: Any) -> float:
     """Root of the mean of |sliding|^2 over wheels and times, (..., 2)."""
     return float(np.sqrt((np.asarray(slides) ** 2).sum(-1).mean()))

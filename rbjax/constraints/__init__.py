@@ -29,7 +29,7 @@ from rbjax.constraints.methods.differential_algebraic import (
 )
 from rbjax.constraints.methods.method import Method, Multipliers, Penalty
 from rbjax.constraints.methods.recursive import Recursive
-from rbjax.constraints.methods.soft import Compliant, Soft
+from rbjax.constraints.methods.soft import Compliant
 from rbjax.constraints.reactions import (
     ConstrainedMotion,
     constrained_dynamics,
@@ -68,6 +68,7 @@ from rbjax.constraints.rows.pairs import (
 )
 from rbjax.constraints.rows.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.rows.row import Constraint, Row
+from rbjax.constraints.rows.soft import Soft
 from rbjax.constraints.rows.tendons import TendonPolynomial
 from rbjax.forces.place import Place
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from rbjax.arguments import real_number, shown
 from rbjax.constraints.equations.model_rows import jacobian, residual
-from rbjax.constraints.methods.soft import Soft
 from rbjax.constraints.rows.pairs import HalfAngle, Pair
+from rbjax.constraints.rows.soft import Soft
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.arguments import check_arrays

@@ -38,10 +38,11 @@ from rbjax.constraints.methods.differential_algebraic import (
 )
 from rbjax.constraints.methods.method import Factor, Method, Multipliers, Penalty
 from rbjax.constraints.methods.recursive import Recursive
-from rbjax.constraints.methods.soft import Compliant, Soft, is_soft
+from rbjax.constraints.methods.soft import Compliant
 from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
 from rbjax.constraints.rows.pairs import QuaternionWeld
 from rbjax.constraints.rows.row import Constraint
+from rbjax.constraints.rows.soft import Soft, is_soft
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State

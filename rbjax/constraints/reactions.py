@@ -12,8 +12,9 @@ import jax.numpy as jnp
 
 from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.model_rows import wrenches_by_link
-from rbjax.constraints.methods.soft import Soft, compliant_motion, is_soft
+from rbjax.constraints.methods.soft import compliant_motion
 from rbjax.constraints.rows.pairs import Pair
+from rbjax.constraints.rows.soft import Soft, is_soft
 from rbjax.dynamics.algorithms.rnea import wrenches_to_links
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm

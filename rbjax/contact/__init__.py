@@ -1,7 +1,7 @@
 """Contacts of geoms: which pairs may touch, where, how far they are apart, and laws of contact.
 
     detect             candidate contacts at a configuration
-    solve              acceleration and forces of soft contact, with the report of the solver
+    solve              acceleration and forces of a law, with the report of its solver
     impulse            velocity after an impact (Newton's or energetic restitution)
     SoftContact        MuJoCo's soft contact
     CoulombContact     dynamics of a step: soft normal contact, true Coulomb friction and sticking

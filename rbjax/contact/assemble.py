@@ -14,7 +14,6 @@ from rbjax.contact.articulated import ArticulatedTree
 from rbjax.contact.contact_rows import ContactSet, World
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
-from rbjax.contact.inverse_weights import inverse_weights
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
 from rbjax.contact.rows.dof_rows import dof_rows
@@ -22,15 +21,16 @@ from rbjax.contact.rows.equality_rows import equality_rows
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
-from rbjax.contact.rows.tendon_weights import has_tendon_rows, tendon_weights
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.energy import Entries, product
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
+from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
+from rbjax.forces.tendons.tendon_weights import has_tendon_rows, tendon_weights
 from rbjax.lanes import Lane, Mat3, Vec3, add, sub, unpack
 from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane

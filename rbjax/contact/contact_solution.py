@@ -1,4 +1,4 @@
-"""`solve`: acceleration, forces and the solver's report of soft contact at a state."""
+"""`solve`: acceleration, forces and the report of the solver of a contact law at a state."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import jax
 
 from rbjax.contact.registry import law_of
-from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import ContactSolution
+from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.errors import InputError
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs, Source, inputs_at
 from rbjax.model import Model, State
+from rbjax.model.record import Record
 
 
 def solve(
@@ -25,26 +25,32 @@ def solve(
     wrenches: jax.Array | Source | None = None,
     t: Any = 0.0,
     contact: Any = "mujoco",
+    dt: Any = None,
 ) -> ContactSolution:
-    """Solve MuJoCo's contact problem at a state: acceleration, forces, and the solver's report.
+    """Solve the contact problem of a law at a state: acceleration, forces, and solver's report.
 
-    Use it to read contact forces, and to check that the solver converges. `rb.acceleration` returns
-    the same acceleration. The problem is
+    Use it to read contact forces, and to check that the solver converges. For "mujoco",
+    `rb.acceleration` returns the same acceleration. The problem is
 
         min over a of  (a - a_s)^T M (a - a_s) / 2 + sum of s_i(J_i a - a_ref,i),
         M a_s = tau(q, v, x, ctrl) + tau_given + J^T w - b
 
-    with the costs s_i of contacts, limits, friction loss and equalities.
+    with the costs s_i of contacts, limits, friction loss and equalities. "coulomb" has the same
+    problem with latched friction. The laws "coulomb" and "impulse" advance a velocity: the
+    acceleration is (v+ - v) / h, and the forces of "impulse" are impulses over the step, divided by
+    h.
 
     Args:
         model: the robot, with `model.geoms` and `model.solver`, as `rb.load` makes it.
-        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states, and with the
+            memory of the law, from which its solver begins; None for its first step.
         ctrl: controls (nu,); None for no actuation.
         tau: generalized forces (nv,) in addition to those of the model.
         wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins. Each of
             ctrl, tau and wrenches may be a function (t, state).
         t: time in s, for force elements that depend on it.
-        contact: "mujoco", or `rbjax.contact.SoftContact` with its arguments.
+        contact: a name of `rb.contact.laws()`, or a law with its arguments.
+        dt: step h in s; None for the step of the law, or the model's timestep.
 
     Returns:
         `ContactSolution`. Batches by `jax.vmap`: over the states of a trajectory, saved at each
@@ -68,19 +74,18 @@ def solve(
         (True, 1)
     """
     given = inputs_at("contact.solve", model, Inputs(ctrl, tau, wrenches), t, state)
-    return _solve(model, state, *given, t=t, contact=contact)
+    check_model("contact.solve", model)
+    law = law_of("contact.solve", model, contact)
+    if isinstance(law, Record):  # its numbers may be traced
+        return _solve(model, state, *given, t=t, dt=dt, law=law)
+    return _solve(model, state, *given, t=t, dt=dt, contact=law)
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", where="contact.solve")
+@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="contact.solve")
 def _solve(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
-    *, t: Any = 0.0, contact: Any = "mujoco",
+    *, t: Any = 0.0, dt: Any = None, contact: Any = None, law: Any = None,
 ) -> ContactSolution:  # fmt: skip
-    law = law_of("contact.solve", model, contact)
-    if not isinstance(law, SoftContact):
-        raise InputError(
-            f"contact.solve: contact is {contact!r}, expected 'mujoco' or an "
-            "rb.contact.SoftContact(...): other laws have no convex problem"
-        )
+    law = contact if law is None else law
     own, f_ext, _ = applied(model, t, state, Inputs(ctrl, tau, wrenches))
-    return law.solve(model, t, state, own, f_ext)
+    return law.solve(model, t, state, own, f_ext, dt)

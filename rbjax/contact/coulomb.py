@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.contact.assemble import Assembly
+from rbjax.contact.contact_forces import geoms_of_rows, rows_in_use, rows_of_slots
 from rbjax.contact.contact_rows import Slots
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import COUNTS
@@ -27,6 +28,12 @@ from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem
 from rbjax.contact.soft import SoftContact
+from rbjax.contact.solution import (
+    ContactSolution,
+    SolutionArrays,
+    sources_of_rows,
+    with_rule_of,
+)
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.lanes import batch_first, pack
@@ -101,8 +108,9 @@ class CoulombContact:
         return jnp.zeros(size + 1, model.gravity.dtype)
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
-        return LATCHED[jnp.dtype(dtype).itemsize]
+        """Return the largest error of a converged step, in a dtype: ten times the error at which
+        the iteration ends, since rounding may leave more."""
+        return 10 * LATCHED[jnp.dtype(dtype).itemsize]
 
     def solver_error(self, memory: jax.Array) -> jax.Array:
         """Return the error of the step that returned a memory (m,)."""
@@ -112,6 +120,57 @@ class CoulombContact:
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any
     ) -> tuple[jax.Array, jax.Array]:
         """Compute the velocity (nv,) and the memory after a step dt."""
+        a, memory, _ = self._accelerated(model, t, state, tau, f_ext, dt)
+        return state.v + dt * a, memory
+
+    def solve(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None,
+        dt: Any = None,
+    ) -> ContactSolution:  # fmt: skip
+        """Compute the mean acceleration of a step with all forces, and the report of the solver.
+
+        dt: step in s; None for the model's timestep. Without `State.memory` bristles are at rest.
+        """
+        dt = model.timestep if dt is None else dt
+        memory = self.initial_memory(model) if state.memory is None else state.memory
+        given, rebuilt = split_tracers((model, f_ext, dt, t if model.constraints else 0.0))
+        names: list[tuple] = []  # of the rows, which are known after tracing
+
+        def problem_at(changed: Any, q: Any, v: Any, tau: Any, memory: Any) -> tuple[Any, Problem]:
+            model, f_ext, dt, t = rebuilt(changed)
+            assembly = Assembly(model, q, v, dt, t)
+            problem = self._with_bristles(assembly.problem(tau, f_ext), memory, dt)
+            names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
+            return assembly.origin, problem
+
+        def plain(*at: Any) -> SolutionArrays:
+            origin, problem = problem_at(*at)
+            problem = _detected(problem, gap=True)
+            found = _iterate(problem, self.rounds, self.iterations)
+            problem = _latched(problem, found.latches)
+            x, report = found.solution.x, (found.rounds, found.error)
+            contacts = rows_of_slots(problem, found.solution, origin)
+            return SolutionArrays.of(problem, contacts, x, *(y.astype(x.dtype) for y in report))
+
+        def differentiable(changed: Any, q: Any, v: Any, tau: Any, memory: Any) -> SolutionArrays:
+            model, f_ext, dt, t = rebuilt(changed)
+            at = State(q, v, memory=memory)
+            a, after, rounds = self._accelerated(model, t, at, tau, f_ext, dt)
+            origin, problem = problem_at(changed, q, v, tau, memory)
+            still = problem_at(*jax.lax.stop_gradient((changed, q, v, tau, memory)))[1]
+            used = _detected(still, gap=True).in_use
+            contacts = rows_in_use(problem, used, a, origin)
+            return SolutionArrays.of(problem, contacts, a, rounds, self.solver_error(after))
+
+        run = with_rule_of(plain, differentiable)
+        found = run(given, state.q, state.v, tau, memory.astype(state.q.dtype))
+        return found.solution(*names, self.solver_tolerance(state.q.dtype))
+
+    def _accelerated(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None, dt: Any
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Compute the acceleration (nv,), the memory after a step dt, and the number of rounds, as
+        a real number."""
         assert state.memory is not None
         given, rebuilt = split_tracers((model, f_ext, dt, t if model.constraints else 0.0))
 
@@ -125,15 +184,17 @@ class CoulombContact:
             found = _iterate(problem, self.rounds, self.iterations)
             return _latched(problem, found.latches), found
 
+        def results(problem: Problem, found: _Found) -> tuple:
+            x = found.solution.x
+            return x, _memory_of_slots(problem, found), found.rounds.astype(x.dtype)
+
         def plain(*at: Any) -> Any:
-            problem, found = solved_at(*at)
-            return batch_first((found.solution.x, _memory_of_slots(problem, found)), at)
+            return batch_first(results(*solved_at(*at)), at)
 
         def solved(*at: Any) -> tuple[Any, Any]:
             problem, found = solved_at(*at)
             change = _linear_solver(problem, found.solution)
-            solutions = found.solution.x, _memory_of_slots(problem, found)
-            return solutions, [change, lambda b: b], problem.in_use
+            return results(problem, found), [change, lambda b: b], problem.in_use
 
         def equation(*at_and_a: Any) -> jax.Array:
             *at, a, used = at_and_a
@@ -149,8 +210,7 @@ class CoulombContact:
             return _memory_in_use(problem, a, memory, used) - memory
 
         run = with_implicit_jvp(plain, solved, equation, remembered)
-        a, memory = run(*jax_arrays(given, state.q, state.v, tau, state.memory))
-        return state.v + dt * a, memory
+        return run(*jax_arrays(given, state.q, state.v, tau, state.memory))
 
     def _with_bristles(self, problem: Problem, memory: jax.Array, dt: Any) -> Problem:
         """Return the problem with sets of contacts whose friction has bristles.
@@ -181,14 +241,17 @@ def _candidates(model: Model) -> dict[int, int]:
     return dict(sorted(out.items()))
 
 
-def _detected(problem: Problem) -> Problem:
-    """Return the problem with the active contacts that the narrow phase finds."""
+def _detected(problem: Problem, *, gap: bool = False) -> Problem:
+    """Return the problem with the active contacts that the narrow phase finds.
+
+    gap: whether to include the contacts in the gap, which have no force.
+    """
     world, slots = problem.touching, list[Any]()
     for contacts in problem.sets:
         if isinstance(contacts, DiscSet):
-            slots.append(contacts.collect(world))
+            slots.append(contacts.collect(world, gap=gap))
         else:
-            slots.append(Slots.collect(contacts, world))
+            slots.append(Slots.collect(contacts, world, gap=gap))
     return dataclasses.replace(problem, slots=slots)
 
 

@@ -196,10 +196,13 @@ class DiscSet(ContactSet):
         D = 1.0 / regularisation(d, self._lane(self.weights, pair))
         return row._replace(D=jnp.where(active, D, 0.0), reference=[push, *drag])
 
-    def collect(self, world: World) -> DiscSlots:
-        """Run the narrow phase and store the active contacts, with the forces of the last step."""
+    def collect(self, world: World, *, gap: bool = False) -> DiscSlots:
+        """Run the narrow phase and store the active contacts, with the forces of the last step.
+
+        gap: whether to include the contacts in the gap, which have no force.
+        """
         n, m, dtype = self.candidates, 7 * self.dim + 1, world.geoms.dtype
-        found = self.found(world)
+        found = self.found(world, gap=gap)
 
         def compute(k: Any, carry: tuple) -> tuple:
             rows, bristles, latches = carry

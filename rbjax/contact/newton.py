@@ -4,9 +4,16 @@
 
 The cost is convex and piecewise smooth, so the method converges from any start. Near the solution a
 step is exact (pyramids, limits, friction loss) or converges quadratically (elliptic cones). The
-iteration ends if the gradient g is small relative to the forces:
+iteration ends if the error is at most the tolerance. The error is the smaller one of the gradient g
+and of Newton's decrement of the last step, relative to the forces:
 
-    sum w_i g_i^2 <= tolerance^2 sum (w_i rhs_i^2 + x_i^2 / w_i),   w_i = (M^-1)_ii
+    sum w_i g_i^2 / size,   -g^T p / size,   size = sum (w_i rhs_i^2 + x_i^2 / w_i),
+
+both under a square root, with w_i = (M^-1)_ii.
+
+The decrement is the error of x in the norm of H. It is small for rounding errors of stiff contacts,
+whose gradient is not. If alpha is above one, the decrement is alpha times larger, the length of the
+step.
 
 M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
 the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
@@ -43,7 +50,7 @@ class Solution(NamedTuple):
     Fields:
         x: (nv,) acceleration.
         iterations: the number of Newton steps.
-        error: relative gradient at x; the iteration has converged if it is at most the tolerance.
+        error: relative error at x; the iteration has converged if it is at most the tolerance.
         residuals: (n, dim) J x - a_ref of the active contacts of each set.
     """
 
@@ -62,6 +69,7 @@ class _Iterate(NamedTuple):
         w: (n + 1, 6) wrenches on the links that can touch.
         residuals: of the contacts of each set.
         error: the error of the iterate before the last step.
+        decrement: Newton's decrement of the last step, relative to the forces.
         iterations: the number of steps.
     """
 
@@ -70,6 +78,7 @@ class _Iterate(NamedTuple):
     w: jax.Array
     residuals: list[jax.Array]
     error: jax.Array
+    decrement: jax.Array
     iterations: jax.Array
 
 
@@ -78,6 +87,7 @@ class _Values(NamedTuple):
 
     gradient: jax.Array
     stiffness: jax.Array
+    size: jax.Array
     error: jax.Array
 
 
@@ -98,7 +108,7 @@ def solve(
     def step(at: _Iterate) -> _Iterate:
         values = _evaluate(problem, at)
         at = at._replace(error=values.error)
-        more = (values.error > bound) & (at.iterations < iterations)
+        more = (at.error > bound) & (at.iterations < iterations)
         moved = jax.lax.cond(more, lambda: _newton_step(problem, at, values), lambda: at)
         return moved._replace(iterations=at.iterations + 1)
 
@@ -125,7 +135,8 @@ def _start(problem: Problem) -> _Iterate:
         residuals.append(slots.fold(opposite, _unset(slots, contacts.dim)))
     u = pack([neg(y) for y in problem.rhs], zero)
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
-    return _Iterate(zero, u, w, residuals, jnp.full((), jnp.inf, dtype), jnp.int32(0))
+    infinite = jnp.full((), jnp.inf, dtype)
+    return _Iterate(zero, u, w, residuals, infinite, infinite, jnp.int32(0))
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
@@ -163,8 +174,9 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
     g = [sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)]
     weights = tree.weights
     size = add(_square(weights, problem.rhs), _square([1.0 / w for w in weights], x))
-    error = jnp.sqrt(_square(weights, g) / jnp.maximum(size, jnp.finfo(dtype).tiny))
-    return _Values(pack(g, at.x), stiffness, jnp.asarray(error, dtype))
+    size = jnp.maximum(jnp.asarray(size, dtype), jnp.finfo(dtype).tiny)
+    error = jnp.minimum(jnp.sqrt(_square(weights, g) / size), at.decrement)
+    return _Values(pack(g, at.x), stiffness, size, jnp.asarray(error, dtype))
 
 
 def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
@@ -205,7 +217,9 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
 
         residuals.append(slots.fold(moved, r))
     u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
-    return _Iterate(at.x + alpha * p, u, w, residuals, at.error, at.iterations)
+    decrement = jnp.sqrt(jnp.abs(inner(unpack(values.gradient), s)) / values.size)
+    decrement = jnp.maximum(alpha, 1.0) * decrement
+    return _Iterate(at.x + alpha * p, u, w, residuals, at.error, decrement, at.iterations)
 
 
 def _line_search(

@@ -21,15 +21,18 @@ from rbjax.contact.in_use import InUse
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
-from rbjax.contact.solution import ContactSolution, SolutionArrays, sources_of_rows
+from rbjax.contact.solution import (
+    ContactSolution,
+    SolutionArrays,
+    sources_of_rows,
+    with_rule_of,
+)
 from rbjax.dynamics.algorithms.energy import Entries
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import (
     jax_arrays,
-    jvp_of,
     split_tracers,
     with_implicit_jvp,
-    with_jvp,
 )
 from rbjax.errors import InputError
 from rbjax.lanes import batch_first, pack
@@ -148,12 +151,8 @@ def solution_at(
         contacts = rows_in_use(problem, used, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
-    def rule(primals: tuple, tangents: tuple) -> tuple:
-        value, rate = jvp_of(differentiable, primals, tangents)
-        return value, jax.tree.map(jnp.zeros_like, value) if rate is None else rate
-
-    found = with_jvp(plain, rule)(given, q, v, tau)
-    return found.solution(*names)
+    found = with_rule_of(plain, differentiable)(given, q, v, tau)
+    return found.solution(*names, tolerance_of(q.dtype))
 
 
 @dataclass(frozen=True)
@@ -205,8 +204,9 @@ class SoftContact:
         return a, error
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
-        return tolerance_of(dtype)
+        """Return the largest error of a converged step, in a dtype: ten times the error at which
+        the iteration ends, since rounding may leave more."""
+        return 10 * tolerance_of(dtype)
 
     def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
         """Compute the results of `contact_acceleration` that the slice `which` selects."""
@@ -235,10 +235,15 @@ class SoftContact:
         return threads(solved)(q, v, tau)
 
     def solve(
-        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None
-    ) -> ContactSolution:
-        """Compute the acceleration with all forces, and the report of the solver."""
-        return solution_at(*self._arguments(model, t, state, tau, f_ext))
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None,
+        dt: Any = None,
+    ) -> ContactSolution:  # fmt: skip
+        """Compute the acceleration with all forces, and the report of the solver.
+
+        dt: step in s, if the law has none of its own; None for the model's timestep.
+        """
+        *given, own, t = self._arguments(model, t, state, tau, f_ext)
+        return solution_at(*given, dt if own is None else own, t)
 
     def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
         t = t if model.constraints else 0.0  # only constraints depend on time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.contact.contact_forces import ContactForces, contact_forces
-from rbjax.contact.newton import tolerance_of
 from rbjax.contact.problem import Problem, add_row
 from rbjax.contact.rows.scalar_row import EQUALITY, FRICTION, LIMIT
+from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.lanes import Lane, pack, sub, unpack
 from rbjax.model.record import Record
 
@@ -26,9 +27,11 @@ class ContactSolution(Record):
         contact, limit, friction, equality: (nv,) generalized forces of the contacts, the limits,
             the friction loss and the equalities. Their sum is MuJoCo's qfrc_constraint.
         rows: (m,) N or N m, the force of each row of a limit, friction loss or equality.
-        iterations: () the number of Newton steps.
-        error: () the norm of the gradient relative to the norm of the forces.
-        converged: () whether the error is at most the tolerance of the solver.
+        iterations: () the number of Newton steps; of iterations of the normal forces
+            ("coulomb"); of sweeps ("impulse").
+        error: () the norm of the gradient relative to the norm of the forces; the relative change
+            of the normal forces ("coulomb"); the residual in m/s ("impulse").
+        converged: () whether the error is at most the tolerance of the law.
         sources: kind of each row, with the part of the model that it belongs to; static.
     """
 
@@ -98,10 +101,11 @@ class SolutionArrays(NamedTuple):
         return cls(contacts[0], pack(contacts[1], a), by_kind, rows, a, *report)
 
     def solution(
-        self, geoms: tuple[tuple[int, int], ...], sources: tuple[tuple[str, str, int], ...]
-    ) -> ContactSolution:
+        self, geoms: tuple[tuple[int, int], ...], sources: tuple[tuple[str, str, int], ...],
+        tolerance: float,
+    ) -> ContactSolution:  # fmt: skip
         """Convert to a `ContactSolution`. geoms, sources: the geoms of its contacts, the sources of
-        its rows."""
+        its rows. tolerance: the largest error of a converged solution."""
         limit, friction, equality = self.by_kind
         return ContactSolution(
             acceleration=self.a,
@@ -113,9 +117,20 @@ class SolutionArrays(NamedTuple):
             rows=self.rows,
             iterations=self.iterations.astype(jnp.int32),
             error=self.error,
-            converged=self.error <= tolerance_of(self.a.dtype),
+            converged=self.error <= tolerance,
             sources=sources,
         )
+
+
+def with_rule_of(plain: Callable, differentiable: Callable) -> Callable:
+    """Return the function `plain`, with the derivatives of `differentiable`, which has the
+    same values."""
+
+    def rule(primals: tuple, tangents: tuple) -> tuple:
+        value, rate = jvp_of(differentiable, primals, tangents)
+        return value, jax.tree.map(jnp.zeros_like, value) if rate is None else rate
+
+    return with_jvp(plain, rule)
 
 
 def sources_of_rows(problem: Problem) -> tuple[tuple[str, str, int], ...]:

@@ -19,21 +19,23 @@ from rbjax.motion.rollout import rollout
 from rbjax.plotting import STYLE, Camera, draw, strobe
 from rbjax.style import BLUE, INK
 
-#: the legs
-LEGS = ("front_left", "front_right", "hind_left", "hind_right")
 #: N m/rad and N m s/rad of the joints
 _STIFFNESS, _DAMPING = 80.0, 3.0
 #: height above the stance, m, step, s, and number of steps
 _DROP, _DT, _STEPS = 0.25, 0.002, 400
 
 
-def touching(scene: str) -> Model:
-    """Load a quadruped whose feet touch the floor. The geoms of the scene do not."""
+def touching(scene: str, part: str = "foot") -> Model:
+    """Load a bundled robot of which geoms touch the floor. The geoms of the scene do not.
+
+    part: a part of the names of the geoms that touch; "" for all.
+    """
     m = compile_model(scene)
-    m.geom("floor").conaffinity = 1
-    for leg in LEGS:
-        m.geom(f"{leg}_foot").contype = 1
-    return load(m, contacts=True)
+    for k in range(m.ngeom):
+        name = m.geom(k).name
+        m.geom_conaffinity[k] = name == "floor"
+        m.geom_contype[k] = name != "floor" and part in name
+    return load(m)
 
 
 def landing(

@@ -170,6 +170,8 @@ class Model(Record):
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & PRECOMPUTED_FROM or "zeros" in how:
             how = {"constants": None, "weights": None} | how
+        elif "constraints" in changes:
+            how = {"weights": None} | how
         zeros = how.get("zeros", self.execution.zeros)
         if zeros is not None:
             changes |= with_fixed_entries(changes, dict(zeros))

@@ -158,7 +158,7 @@ class Execution(Record):
         zeros: the entries of leaves that are compile-time constants (`Model.fix_zeros`), or None.
         constants: the precomputed link constants (`with_constants`), or None.
         weights: the precomputed inverse inertias of bodies, dofs and tendons that scale the
-            softness of contacts (`rbjax.contact.inverse_weights.with_weights`), or None.
+            softness of contacts (`rbjax.constraints.equations.soft_weights.with_weights`), or None.
     """
 
     driver: str = eqx.field(static=True, default="auto")

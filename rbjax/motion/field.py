@@ -14,9 +14,10 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.equations.soft_weights import with_weights
 from rbjax.constraints.formulation import Formulation, StageProjection, formulation_of
+from rbjax.constraints.rows.soft import is_soft
 from rbjax.contact.coulomb import CoulombContact
-from rbjax.contact.inverse_weights import with_weights
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
@@ -88,7 +89,7 @@ class Field:
     precomputed: Model = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        soft = isinstance(self.dynamics, SoftContact)
+        soft = isinstance(self.dynamics, SoftContact) or is_soft(self.model)
         object.__setattr__(self, "precomputed", with_weights(self.model) if soft else self.model)
         object.__setattr__(self, "model", without_constants(self.model))
 

@@ -22,7 +22,8 @@ class ReportsSolver(Protocol):
     """A law whose solver may end before it converges."""
 
     def solver_tolerance(self, dtype: Any) -> float:
-        """Return the largest error of a converged step, in a dtype."""
+        """Return the largest solver error of a step that counts as converged. dtype: of
+        the motion."""
         ...
 
 

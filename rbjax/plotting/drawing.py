@@ -31,6 +31,8 @@ from rbjax.style import BLUE, GRID, ORANGE, RED
 
 Array = np.ndarray
 _GROUND = "#f4f6f8"
+#: margin of the ground of `strobe`, relative to the height of the robot
+_AROUND = 0.6
 #: the opacity of the samples after the first
 FADED = 0.22
 
@@ -306,6 +308,8 @@ def strobe(
     color: str = ORANGE,
     shadow: bool = True,
     floating_base: bool = False,
+    ground: bool = False,
+    contacts: ContactForces | None = None,
 ) -> None:
     """Draw poses along a motion in one picture, with increasing opacity.
 
@@ -319,6 +323,11 @@ def strobe(
         color: the colour of that line.
         shadow: whether the last pose casts a shadow on the floor.
         floating_base: as in `rbjax.load`, for a source that is a URDF.
+        ground: whether to draw the plane z = 0 under the poses.
+        contacts: contact forces of the last pose to draw as arrows, as in `draw`.
+
+    Raises:
+        InputError: q has another shape or is not finite.
 
     Example:
         >>> import matplotlib.figure, numpy as np
@@ -338,7 +347,19 @@ def strobe(
         alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2
         draw_solids(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=shadow and last,
                     world=last, zorder=2 + i)  # fmt: skip
+    axes = (camera or Camera()).axes[:2]
     if trace is not None:
-        path = p[:, model.body(trace)] @ (camera or Camera()).axes[:2].T
+        path = p[:, model.body(trace)] @ axes.T
         ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))
+    if ground:
+        low, high = p[..., :2].min((0, 1)), p[..., :2].max((0, 1))
+        x, y = np.array([low, high]).T + _AROUND * np.ptp(p[-1, :, 2]) * np.array([-1, 1])
+        corners = [[x[0], y[0], 0], [x[1], y[0], 0], [x[1], y[1], 0], [x[0], y[1], 0]]
+        ax.add_patch(Polygon(np.array(corners) @ axes.T, color=_GROUND, lw=0, zorder=0))
+    if contacts is not None:
+        shown = film(model, np.zeros(1), q[None, -1:], shapes, camera=camera)
+        shown = with_arrows("strobe", shown, model, contacts)
+        assert shown.arrows is not None
+        for line in strokes(shown.arrows[0], axes, 0.04 * shown.size.max()):
+            ax.plot(*line.T, color=RED, lw=1.8, zorder=3 + len(q))
     bare(ax)

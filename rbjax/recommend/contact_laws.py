@@ -120,7 +120,7 @@ def contact_law(
     adaptive steps and a stiffness that follows from the accuracy. The recommendation is the
     cheapest law whose penetration, creep and lift are at most the accuracy, measured on this
     machine. The reference is rigid contact with Coulomb friction and Newton's restitution. Limits
-    and friction loss of joints are only in the laws "mujoco" and "coulomb".
+    and friction loss of joints are in all laws except "compliant".
 
     Args:
         model: the robot, with contacts, as `rb.load` makes it.

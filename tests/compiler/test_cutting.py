@@ -31,9 +31,16 @@ def loops(x):
     return [i, y, out, jax.lax.dynamic_slice(out, (i % 4,), (2,))]
 
 
-@pytest.mark.parametrize("f", [straight, loops])
-@pytest.mark.parametrize("count", [1, 11])
-def test_pieces_give_the_same(monkeypatch, f, count):
+def short(x):
+    """A branch, a loop and values that several pieces read."""
+    y = jnp.sin(x) * x[0]
+    y = jax.lax.cond(y[0] > y[1], lambda y: y * y, lambda y: y - 1.0, y)
+    (z, _), out = jax.lax.scan(lambda c, k: ((c[0] * 0.5 + y, k), c[0][k]), (x, 0), jnp.arange(2))
+    return [y + z, out]
+
+
+def compared(monkeypatch, f, count, above, each):
+    """Compare the machine code of pieces of `each` statements, of code in one, and XLA."""
     x = 0.3 * jnp.array(np.random.default_rng(3).normal(size=(count, 3)))  # not chaotic
     closed = jax.make_jaxpr(f)(x[0])
     ins = [batch_first(x.shape[1:], (count,))]
@@ -47,11 +54,22 @@ def test_pieces_give_the_same(monkeypatch, f, count):
 
     shapes = [jax.core.ShapedArray((count, *a.shape), a.dtype) for a in closed.out_avals]
     few, whole = kernel()
-    monkeypatch.setattr(cutting, "CUT_ABOVE", 12)
-    monkeypatch.setattr(cutting, "EACH", 6)
+    monkeypatch.setattr(cutting, "CUT_ABOVE", above)
+    monkeypatch.setattr(cutting, "EACH", each)
     many, pieces = kernel()
     assert many > few
     for a, b, c in zip(pieces, whole, jax.vmap(f)(x), strict=True):
         # sums and products in one rounding or two
         np.testing.assert_allclose(a, b, rtol=1e-12)
         np.testing.assert_allclose(a, c, rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 11])
+def test_short_pieces_give_the_same(monkeypatch, count):
+    compared(monkeypatch, short, count, 6, 4)
+
+
+@pytest.mark.parametrize("f", [straight, loops])
+@pytest.mark.parametrize("count", [1, 11])
+def test_pieces_give_the_same(monkeypatch, f, count):
+    compared(monkeypatch, f, count, 12, 6)

@@ -275,6 +275,22 @@ def test_small_functions_with_threads_far_ahead(name):
 
 
 @host_only
+def test_slices_and_shapes_of_arrays_that_are_computed_when_read():
+    """They change the index of the entries only; two axes that become one need memory."""
+
+    def f(x, y):
+        part = (x * x + y)[1:7:2, 2:]
+        row = (x - 2 * y)[2:3].reshape(8)
+        return part.reshape(3, 1, 6) * x[0, :6], row * y[0], (x * y + 1.0).reshape(64) * 2.0
+
+    args = numbers(3, 8, 8), numbers(3, 8, 8)
+    (want,) = by_xla([(f, args)])
+    found, _ = whole_kernel(f, args, 32, 1)
+    for g, w in zip(jax.tree.leaves(found), jax.tree.leaves(want), strict=True):
+        np.testing.assert_allclose(g, w, rtol=F64_TRANSFORM, atol=F64_TRANSFORM)
+
+
+@host_only
 def test_without_barriers_a_kernel_is_wrong(monkeypatch):
     """So the tests above see that they are there."""
     args = CASES["14/7, by velocities"]

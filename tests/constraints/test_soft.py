@@ -10,6 +10,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.mechanisms import pendulum
 from rbjax import constraints as rc
+from rbjax.constraints.equations.soft_weights import soft_weights
 from rbjax.constraints.formulation import formulation_of
 from rbjax.constraints.methods.soft import compliant_motion
 from tests.constraints.rows import check, tree
@@ -56,6 +57,7 @@ def test_derivatives() -> None:
     """Forward against differences, reverse against forward, by state, force and softness."""
     model = mixed()
     weld, coupling = model.constraints
+    weight = jnp.asarray(soft_weights(model)[0])
     state = model.random_state(jax.random.key(2))
     k1, k2, k3, k4 = jax.random.split(jax.random.key(3), 4)
     dq, dv, tau, w = (jax.random.normal(k, (model.nv,)) for k in (k1, k2, k3, k4))
@@ -64,7 +66,7 @@ def test_derivatives() -> None:
         other = weld.replace(
             solref=weld.solref * (1 + 0.1 * s),
             solimp=weld.solimp * (1 + 0.05 * s),
-            weight=weld.weight * (1 - 0.2 * s),
+            weight=weight * (1 - 0.2 * s),
         )
         there = rb.State(rb.integrate(model, state.q, s * dq), state.v + s * dv)
         moved = model.replace(constraints=(other, coupling))

@@ -134,11 +134,65 @@ def test_nothing_touches() -> None:
 
 def test_bad_laws() -> None:
     model, state = resting()
-    with pytest.raises(rb.InputError, match=r"expected 'mujoco' or an rb.contact.SoftContact"):
-        rb.contact.solve(model, state, contact="impulse")
+    with pytest.raises(rb.InputError, match=r"contact.solve: dt is -1.0, expected a positive step"):
+        rb.contact.solve(model, state, contact="impulse", dt=-1.0)
     with pytest.raises(rb.InputError, match=r"contact.solve: contact is 'rigid', expected one of"):
         rb.contact.solve(model, state, contact="rigid")
     with pytest.raises(rb.InputError, match=r"needs the contact parameters of a file"):
         rb.contact.solve(model.replace(solver=None), state)
     with pytest.raises(rb.InputError, match=r"contact.solve: tau has shape"):
         rb.contact.solve(model, state, tau=jnp.zeros(2))
+
+
+BLOCK = """<mujoco><option timestep=".002"/><worldbody><geom type="plane" size="0 0 1"/>
+<body pos="0 0 .0999"><joint name="x" type="slide" axis="1 0 0" frictionloss="1"/>
+<joint type="slide" axis="0 1 0" range="-1 0"/><joint type="slide" axis="0 0 1"/>
+<geom type="box" size=".1 .1 .1" mass="2" friction=".5"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("law", ["mujoco", "coulomb", "impulse"])
+def test_all_laws_balance_a_block(law: str) -> None:
+    """A block that is pushed along x, held by friction and friction loss, and along y against a
+    limit: all forces balance the acceleration, and friction takes its share."""
+    model = rb.load(BLOCK)
+    tau = jnp.array([4.0, 3.0, 0.0])
+    state = rb.rollout(model, model.default_state(), None, steps=400, tau=tau, contact=law).state(
+        -1
+    )
+
+    def solved(tau: jax.Array) -> rb.contact.ContactSolution:
+        return rb.contact.solve(model, state, tau=tau, contact=law)
+
+    found = jax.jit(solved)(tau)
+    weight = jnp.array([0.0, 0.0, 2 * 9.81])
+    np.testing.assert_allclose(2 * found.acceleration, tau - weight + found.constraint, atol=1e-9)
+    np.testing.assert_allclose(found.acceleration, 0.0, atol=1e-2)
+    assert bool(found.converged)
+    assert float(found.error) < 1e-5
+    forces = found.contacts.world_force.sum(0)
+    np.testing.assert_allclose(forces, found.contact, atol=1e-9)
+    np.testing.assert_allclose(forces[2], 2 * 9.81, rtol=1e-3)
+    np.testing.assert_allclose(found.limit[1] + forces[1], -3.0, rtol=1e-3)
+    np.testing.assert_allclose(found.friction[0] + forces[0], -4.0, rtol=2e-2)
+    assert -1.0 - 1e-9 <= float(found.friction[0]) <= 0
+    assert float(found.force_of("friction loss", "dof", 0)) == float(found.friction[0])
+    after = rb.step(model, state, tau=tau, contact=law, integrator="semi_implicit_euler")
+    np.testing.assert_allclose(after.v - state.v, 0.002 * found.acceleration, atol=1e-12)
+    rate = jax.jit(jax.jacfwd(lambda tau: solved(tau).contacts.force.sum(0)))(tau)
+    back = jax.jit(jax.jacrev(lambda tau: solved(tau).contacts.force.sum(0)))(tau)
+    np.testing.assert_allclose(rate, back, atol=1e-9)
+    np.testing.assert_allclose(solved(tau).iterations, found.iterations)
+
+
+def test_a_law_with_numbers_and_a_step() -> None:
+    """A ball that bounces: the impulse over a step is m (1 + e) w, in the force p / h."""
+    ball = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 .1">
+    <joint type="slide" axis="0 0 1"/><geom size=".1" mass="2"/></body></worldbody></mujoco>"""
+    model = rb.load(ball)
+    law = rb.contact.MoreauContact.of(model, restitution=0.5)
+    state = model.default_state().replace(v=jnp.array([-3.0]))
+    found = rb.contact.solve(model, state, contact=law, dt=1e-3)
+    force = 2 * (1.5 * 3.0 + 0.0) / 1e-3
+    np.testing.assert_allclose(found.contact, [force], rtol=1e-12)
+    np.testing.assert_allclose(found.contacts.force[0, :3], [force, 0, 0], rtol=1e-12)
+    assert bool(found.contacts.exists[0])

@@ -70,7 +70,8 @@ def _matrix(shape: Shape) -> jax.Array:
 
 
 def _best_edge(separation: jax.Array, on_face: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the index of the edge axis that separates more than any face, or -1, and its value."""
+    """Return the edge axis (index 0 to 8) that separates the boxes more than any face, and its
+    separation. If there is none, the index is -1 and the separation is `on_face`."""
     best, index = on_face, jnp.int32(-1)
     for k in range(9):
         better = separation[k] > best + 1e-6 * jnp.abs(best)

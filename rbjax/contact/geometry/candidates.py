@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+
 from rbjax.contact.geometry.narrow_phase import COUNTS, PAIRS
 from rbjax.contact.geometry.shapes import Contact, Shape
 from rbjax.lanes import Lane
 from rbjax.model.geoms import Geoms
 from rbjax.model.hulls import Hull
+
+#: balls are larger by this part, so that rounding errors remove no contact
+ROUNDING = 1e-5
 
 
 class PairKind(NamedTuple):
@@ -51,10 +57,16 @@ def pairs_of_candidates(geoms: Geoms, pairs: Sequence[tuple[int, int]]) -> list[
     return [i for i, count in enumerate(counts) for _ in range(count)]
 
 
+#: pairs whose narrow phase is not much longer than the test whether they are near
+SHORT = {("plane", "sphere"), ("plane", "capsule"), ("sphere", "sphere"), ("sphere", "capsule")}
+
+
 def pair_contacts(
     kind: PairKind, one: Shape, other: Shape, reach: Lane, heights: Sequence[Any] = ()
 ) -> list[Contact]:
     """Return the candidates of one pair, `COUNTS[kind.kinds]` of them.
+
+    If the shapes are far apart, the narrow phase does not run and no candidate exists.
 
     Args:
         kind: the kind of the pair.
@@ -66,4 +78,46 @@ def pair_contacts(
         other = other._replace(surface=kind.hull)
     if kind.one == "hfield":
         one = one._replace(surface=heights[kind.field])
-    return PAIRS[kind.kinds](one, other, reach)
+    if kind.kinds in SHORT or kind.one == "hfield":
+        return PAIRS[kind.kinds](one, other, reach)
+    near = jnp.asarray(_near(kind, one, other, reach))
+    if near.ndim:  # lanes of several pairs, which cannot branch
+        return PAIRS[kind.kinds](one, other, reach)
+    dtype = jnp.result_type(*one.p, *other.p)
+
+    def found() -> list[Contact]:
+        contacts = PAIRS[kind.kinds](one, other, reach)
+        return jax.tree.map(lambda x: jnp.asarray(x, _kept(x, dtype)), contacts)
+
+    none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(found))
+    return jax.lax.cond(near, found, lambda: none)
+
+
+def _kept(x: Any, dtype: Any) -> Any:
+    """Return the dtype of a flag or of a number."""
+    return bool if jnp.issubdtype(jnp.result_type(x), jnp.bool_) else dtype
+
+
+def _near(kind: PairKind, one: Shape, other: Shape, reach: Lane) -> Lane:
+    """Return whether the balls around both shapes, or the ball and the plane, are within reach."""
+    apart, limit = other.p - one.p, _radius(kind.other, kind, other) + reach
+    if kind.one == "plane":
+        return one.axis.dot(apart) <= limit + ROUNDING * jnp.abs(limit)
+    limit = (limit + _radius(kind.one, kind, one)) * (1.0 + ROUNDING)
+    return apart.dot(apart) <= limit * jnp.abs(limit)
+
+
+def _radius(name: str, kind: PairKind, shape: Shape) -> Lane:
+    """Return the radius of a ball around a shape whose center is that of the shape, m."""
+    a, b, c = shape.size
+    match name:
+        case "sphere":
+            return a
+        case "capsule":
+            return a + b
+        case "cylinder":
+            return jnp.sqrt(a * a + b * b)
+        case "mesh":
+            assert kind.hull is not None
+            return kind.hull.radius
+    return jnp.sqrt(a * a + b * b + c * c)

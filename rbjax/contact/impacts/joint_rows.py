@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.rows.dof_rows import joint_limits
-from rbjax.contact.rows.scalar_row import entry
+from rbjax.contact.rows.scalar_row import FRICTION, LIMIT, entry
 from rbjax.contact.rows.tendon_rows import tendon_limits
 from rbjax.forces.context import Context
 from rbjax.forces.tendons.paths import tendon_reach
@@ -39,13 +39,21 @@ class JointRows(NamedTuple):
 
 def count_joint_rows(model: Model) -> int:
     """Return the number m of rows."""
-    own, tendons, n = model.solver, model.tendons, 0
+    return len(joint_sources(model))
+
+
+def joint_sources(model: Model) -> tuple[tuple[str, str, int], ...]:
+    """Return (kind, part, index) of each row, the part of the model to which it belongs."""
+    own, tendons, kinds = model.solver, model.tendons, model.topology.joints
+    limits, dry = list[tuple[str, str, int]](), list[tuple[str, str, int]]()
     if own is not None:
-        kinds = model.topology.joints
-        n += len(own.rubbing) + sum(1 if kinds[j].quaternion else 2 for j in own.limited)
+        for j in own.limited:
+            limits += [(LIMIT, "joint", j)] * (1 if kinds[j].quaternion else 2)
+        dry += [(FRICTION, "dof", i) for i in own.rubbing]
     if tendons is not None:
-        n += len(tendons.rubbing) + 2 * len(tendons.limited)
-    return n
+        limits += [(LIMIT, "tendon", i) for i in tendons.limited for _ in range(2)]
+        dry += [(FRICTION, "tendon", i) for i in tendons.rubbing]
+    return (*limits, *dry)
 
 
 def joint_rows(model: Model, q: jax.Array) -> JointRows:

@@ -16,21 +16,29 @@ non-smooth contact dynamics method*, 1999; Stewart & Trinkle 1996.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.arguments import integer, real_number
 from rbjax.constraints.formulation import formulation_of
-from rbjax.contact.geometry.detection import contacts_at
-from rbjax.contact.impacts.impulse_equations import natural_map, sweep_impulses
+from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.geometry.detection import Contacts, contacts_at
+from rbjax.contact.impacts.impulse_equations import (
+    ImpulseProblem,
+    natural_map,
+    sweep_impulses,
+)
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
-from rbjax.contact.impacts.joint_rows import count_joint_rows, joint_rows
-from rbjax.contact.impacts.time_of_impact import end_of_slip, touchdown
+from rbjax.contact.impacts.joint_rows import count_joint_rows, joint_rows, joint_sources
+from rbjax.contact.impacts.time_of_impact import Touchdown, end_of_slip, touchdown
+from rbjax.contact.rows.scalar_row import FRICTION, LIMIT
+from rbjax.contact.solution import ContactSolution
 from rbjax.dynamics.algorithms import aba
-from rbjax.dynamics.algorithms.rnea import LinkForces
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_model
 from rbjax.lanes.arrays import matvec
 from rbjax.model import Model, State
@@ -141,6 +149,70 @@ class MoreauContact(Record):
         """Compute the velocity (nv,) and the memory (3 n + 1,) after a step dt, and the mean
         velocity (nv,) over the step."""
         assert state.memory is not None
+        step = self._impulses(model, t, state, tau, f_ext, dt, state.memory)
+        v, problem, events, J, Y, p = state.v, step.problem, step.events, step.J, step.Y, step.p
+        active = problem.active
+        slip = matvec(J.reshape(-1, len(v)), v).reshape(-1, 3)[:, 1:]
+        moving = jnp.where(active[:, None], p * events.part[:, None], 0)
+        moving = moving.at[:, 1:].add(
+            jnp.where(events.leaves[:, None], 0, end_of_slip(problem, p, slip))
+        )
+        mean = v + 0.5 * dt * step.free + matvec(Y, moving.at[:, 0].set(0).reshape(-1))
+        u = matvec(J.reshape(-1, len(v)), mean).reshape(-1, 3)
+        places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(problem.mu), dry=0.0)
+        r = sweep_impulses(places, moving.at[:, 1:].set(0), self.sweeps)
+        memory = jnp.concatenate([p.reshape(-1), step.residual[None]])
+        after = v + dt * step.free + matvec(Y, p.reshape(-1))
+        return after, memory, mean + matvec(Y, r.reshape(-1))
+
+    def solve(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any = None
+    ) -> ContactSolution:
+        """Compute the mean acceleration of a step, the impulses over the step as forces p / h, and
+        the report of the solver.
+
+        dt: step in s; None for the model's timestep. A contact exists if it may have an impulse.
+        """
+        dt = model.timestep if dt is None else dt
+        memory = self.initial_memory(model) if state.memory is None else state.memory
+        step = self._impulses(model, t, state, tau, f_ext, dt, memory)
+        n, sources, contacts = len(self.restitution), joint_sources(model), step.contacts
+        f = step.p / dt
+        along = (step.J * f[..., None]).sum(1)  # J^T f of each row
+        kinds = np.array([*["contact"] * n, *(kind for kind, *_ in sources)])
+        contact, limit, friction = (
+            along[np.flatnonzero(kinds == kind)].sum(0) for kind in ("contact", LIMIT, FRICTION)
+        )
+        a = step.free + matvec(step.Y, step.p.reshape(-1)) / dt
+        equality = jnp.zeros_like(a)
+        if model.constraints:
+            total = forces_at(model, state.q, state.v, a, f_ext) - tau
+            equality = total - contact - limit - friction
+        exists = step.problem.active[:n]
+        force = jnp.concatenate([f[:n], jnp.zeros_like(f[:n])], -1)
+        here = [jnp.where(exists.reshape(-1, *(1,) * (x.ndim - 1)), x, 0.0)
+                for x in (contacts.position, contacts.frame, force)]  # fmt: skip
+        distance = jnp.where(exists, contacts.distance, jnp.inf)
+        rubs = np.array(kinds[n:] == FRICTION, bool)
+        return ContactSolution(
+            acceleration=a,
+            contacts=ContactForces(exists, distance, *here, contacts.geoms),
+            contact=contact,
+            limit=limit,
+            friction=friction,
+            equality=equality,
+            rows=jnp.where(rubs, f[n:, 1], f[n:, 0]),
+            iterations=jnp.int32(self.sweeps),
+            error=step.residual,
+            converged=step.residual <= self.solver_tolerance(a.dtype),
+            sources=sources,
+        )
+
+    def _impulses(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any,
+        memory: jax.Array,
+    ) -> _Step:  # fmt: skip
+        """Solve the impulse equations of a step dt."""
         q, v, dtype = state.q, state.v, state.q.dtype
         e, mu, c, rest = (
             jnp.asarray(x, dtype)
@@ -152,8 +224,7 @@ class MoreauContact(Record):
         else:
             a = formulation(model, t, state, tau, f_ext)
         contacts, joints = contacts_at(model, q, jnp.inf, self.pairs), joint_rows(model, q)
-        later = v + dt * a
-        J, problem, Y = impact_problem(model, q, later, contacts, mu, t, joints.J)
+        J, problem, Y = impact_problem(model, q, v + dt * a, contacts, mu, t, joints.J)
         normal = J[:, 0]
         gap = jnp.concatenate([contacts.distance, joints.gap])
         dry = jnp.concatenate([jnp.zeros_like(e), dt * joints.floss])
@@ -161,17 +232,29 @@ class MoreauContact(Record):
         events = touchdown(gap, matvec(normal, v), matvec(normal, a), e, rest, c, dt)
         active = problem.active & events.active
         problem = problem._replace(b=events.velocity, active=active, dry=dry)
-        start = jnp.where(active[:, None], state.memory[:-1].reshape(-1, 3), 0)
+        start = jnp.where(active[:, None], memory[:-1].reshape(-1, 3).astype(dtype), 0)
         p = sweep_impulses(problem, start, self.sweeps)
         residual = jnp.abs(natural_map(problem, p)).max(initial=0.0)
-        memory = jnp.concatenate([p.reshape(-1), residual[None]])
-        slip = matvec(J.reshape(-1, len(v)), v).reshape(-1, 3)[:, 1:]
-        moving = jnp.where(active[:, None], p * events.part[:, None], 0)
-        moving = moving.at[:, 1:].add(
-            jnp.where(events.leaves[:, None], 0, end_of_slip(problem, p, slip))
-        )
-        mean = v + 0.5 * dt * a + matvec(Y, moving.at[:, 0].set(0).reshape(-1))
-        u = matvec(J.reshape(-1, len(v)), mean).reshape(-1, 3)
-        places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(e), dry=0.0)
-        r = sweep_impulses(places, moving.at[:, 1:].set(0), self.sweeps)
-        return later + matvec(Y, p.reshape(-1)), memory, mean + matvec(Y, r.reshape(-1))
+        return _Step(contacts, J, problem, Y, events, a, p, residual)
+
+
+class _Step(NamedTuple):
+    """The impulse equations of a step and their solution.
+
+    Fields:
+        contacts: the candidate contacts.
+        J, problem, Y: as `impact_problem` returns them.
+        events: of the rows within the step.
+        free: (nv,) acceleration without impulses.
+        p: (n, 3) impulses.
+        residual: m/s.
+    """
+
+    contacts: Contacts
+    J: jax.Array
+    problem: ImpulseProblem
+    Y: jax.Array
+    events: Touchdown
+    free: jax.Array
+    p: jax.Array
+    residual: jax.Array

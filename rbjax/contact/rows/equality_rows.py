@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from rbjax.constraints import Soft
 from rbjax.constraints.equations.model_rows import gradient_by_dof, rows_of
+from rbjax.constraints.equations.soft_weights import soft_weights
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import EQUALITY, ScalarRow
 from rbjax.errors import InputError
@@ -39,11 +40,13 @@ def equality_rows(context: Context, options: Options) -> list[ScalarRow]:
         return []
     check_soft("the contact problem", model)
     all_rows, out = rows_of(model, context), list[ScalarRow]()
-    for k, constraint in enumerate(model.constraints):
+    for k, (constraint, weight) in enumerate(
+        zip(model.constraints, soft_weights(model), strict=True)
+    ):
         assert isinstance(constraint, Soft)
         rows = [all_rows.pop(0) for _ in range(constraint.size)]
         found = constraint.soft_terms(
-            rows, dtype, options.dt, refsafe=options.refsafe, at_the_end=options.discrete
+            rows, weight, dtype, options.dt, refsafe=options.refsafe, at_the_end=options.discrete
         )
         for row, softness, reference, factor in zip(rows, *found, strict=True):
             J = gradient_by_dof(context, row)

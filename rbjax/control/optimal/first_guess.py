@@ -5,7 +5,8 @@ The solution of a similar problem is rolled out from the new start with its feed
     u_k = us_k - K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
 Controls without states are rolled out without feedback. On an unstable plant this motion may
-diverge, so it is used only if it costs no more than a constant state.
+diverge, so it is used only if it costs no more than a constant state. With contacts it is always
+used if it is finite: a contact that the first guess never makes has no gradient.
 """
 
 from __future__ import annotations
@@ -98,7 +99,10 @@ def first_guess(
     both = jax.tree.map(lambda *x: jnp.stack(x), found, (knots, us))
     cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
     good = whole & jnp.isfinite(cost)
-    good &= (cost <= standing) if K is None else (gains != 0).any()
+    if K is not None:
+        good &= (gains != 0).any()
+    elif not problem.system.touches:
+        good &= cost <= standing
     return select(good, found, (knots, us))
 
 

@@ -131,6 +131,11 @@ class Solution(Record):
             raise InputError("summary: the solution is a batch, expected one; read `status`")
         status = int(self.status)
         text = SENTENCES[status]
+        if status == CONVERGED and self.problem.system.touches and not jnp.any(self.ctrl):
+            text += (
+                ", but no control acts. The cost has no derivative by a contact that the motion "
+                "never makes: give controls that make it (ctrl=), or a cost that leads to it"
+            )
         names = [c.name for c in self.problem.constraints]
         if status == INFEASIBLE or (status == BUDGET and names and self.violations.max() > 1e-6):
             worst = int(jnp.argmax(self.violations))

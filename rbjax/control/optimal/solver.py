@@ -140,7 +140,7 @@ def solve(
         method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
         states: a first guess of the states, with a leading axis N + 1, which need not obey the
             dynamics. If None: the start at all knots; or, if ctrl is given, the motion under them
-            if it costs less.
+            if it costs less, or if the model has contacts.
         ctrl: a first guess (N, nu) of the controls; zeros if None.
         parameters: a first guess of the design parameters and, last, of the final time.
         guess: the `Solution` of a similar problem, instead of these three. The search starts from

@@ -65,6 +65,11 @@ class System(Record):
         return jnp.full(self.nu, -jnp.inf), jnp.full(self.nu, jnp.inf)
 
     @property
+    def touches(self) -> bool:
+        """True if the system has contacts that open and close."""
+        return False
+
+    @property
     def by_velocities(self) -> bool:
         """True if a step is dq+ = dq + dt dv+ on the tangent space (dq, dv)."""
         return False
@@ -168,6 +173,10 @@ class Robot(System):
         m = self.robot
         x = m.start(dtype)
         return State(jnp.zeros(m.nq, dtype), jnp.zeros(m.nv, dtype), x)
+
+    @property
+    def touches(self) -> bool:
+        return self.robot.contact is not None
 
     @property
     def by_velocities(self) -> bool:

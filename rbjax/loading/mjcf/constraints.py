@@ -97,33 +97,13 @@ def _soft(m: mujoco.MjModel, i: int) -> Soft:
     one = _constraint(m, i)
     if isinstance(one, Weld):
         one = QuaternionWeld(one.a, one.b, leaf(m.eq_data[i, 10]))
-    given = safe_solref(m, m.eq_solref[i])
-    solref, solimp, weight = map(leaf, (given, m.eq_solimp[i], _weights(m, i, one.size)))
-    return Soft(one, solref, solimp, weight, bias=type(one) not in _COUPLINGS.values())
+    solref, solimp = map(leaf, (safe_solref(m, m.eq_solref[i]), m.eq_solimp[i]))
+    return Soft(one, solref, solimp, bias=type(one) not in _COUPLINGS.values())
 
 
 def soft_mimic(m: mujoco.MjModel, one: JointPolynomial) -> Soft:
     """Make a mimic soft, with the default parameters of MuJoCo's equalities."""
-    names = [x for x in (one.joint, one.driver) if x is not None]
-    ends = [m.joint(x).id for x in names]
-    solref, weight = safe_solref(m, np.array(SOLREF)), _weight_of_joints(m, ends)
-    return Soft(one, leaf(solref), leaf(SOLIMP), leaf(weight), bias=False)
-
-
-def _weight_of_joints(m: mujoco.MjModel, joints: Any) -> np.ndarray:
-    return m.dof_invweight0[m.jnt_dofadr[joints]].sum(keepdims=True)
-
-
-def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
-    """Compute MuJoCo's estimate of diag(G M^-1 G^T) at the reference configuration."""
-    if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
-        ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
-        return _weight_of_joints(m, ends[ends >= 0])
-    if int(m.eq_type[i]) == int(_KIND.mjEQ_TENDON):
-        ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
-        return m.tendon_invweight0[ends[ends >= 0]].sum(keepdims=True)
-    along, about = m.body_invweight0[_end_bodies(m, i)].sum(0)
-    return np.array([along] * 3 + [about] * (rows - 3))
+    return Soft(one, leaf(safe_solref(m, np.array(SOLREF))), leaf(SOLIMP), bias=False)
 
 
 def _on_body(body: int, point: np.ndarray, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> Place:

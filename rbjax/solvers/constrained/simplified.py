@@ -218,7 +218,8 @@ def simplified(
         return (jnp.arange(2 * n + m) == at).astype(dtype) * some
 
     def column(j: jax.Array) -> tuple:
-        """Compute the columns of one velocity or state x, in all blocks."""
+        """Compute the columns of velocity or state number j: of K for each eigenvalue, of B, and of
+        M and G for the GGL multipliers."""
         ways = jnp.stack([along(n + k + j), along(k + j), along(j, j < k)])
         M, D, K = each(push, ways)
         powers = [(*z, *_product(z, z)) for z in zs]

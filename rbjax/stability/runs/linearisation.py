@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.arguments import real_array
 from rbjax.constraints import residual
-from rbjax.contact.inverse_weights import with_weights
+from rbjax.constraints.equations.soft_weights import with_weights
 from rbjax.dynamics.arguments import check_arrays, check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError

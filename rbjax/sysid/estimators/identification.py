@@ -15,7 +15,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import instance, integer, real_number
+from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
@@ -46,6 +47,7 @@ def identify(
     loss: str = "squares",
     max_evaluations: int = 100,
     restarts: int = 4,
+    difference_step: float | None = None,
     save: str | Path | None = None,
     resume: str | Path | Mapping[str, float] | None = None,
     progress: bool = False,
@@ -80,6 +82,11 @@ def identify(
             0.99, or errors several times the noise). The first one grows from the first part of the
             recordings, the next ones start from other guesses. Unused with segments,
             multiple_shooting or resume.
+        difference_step: for motions with impacts, whose derivatives are wrong or without bound: the
+            size h of central differences in place of derivatives, relative to a positive unknown
+            (0.03), to the distance of a bounded one from its bound, or to the scale of a free one.
+            The estimate is a minimum to a tenth of h. The initial states must be known, or not be
+            estimated. None: derivatives.
         save: path of a file for the best estimates during the fit, and for the final result.
         resume: path of such a file, or name -> value, from which the fit continues.
         progress: show a progress line.
@@ -117,11 +124,19 @@ def identify(
         multiple_shooting=multiple_shooting,
     )  # fmt: skip
     instance("identify", "save", save, str | Path | None, "the path of a file")
+    if difference_step is not None:
+        real_number("identify", "difference_step", difference_step, above=0.0, most=0.5)
+        if multiple_shooting is not None:
+            raise InputError(
+                "identify: difference_step with multiple_shooting, which estimates initial states "
+                "by derivatives; expected one of them. segments= works with difference_step"
+            )
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
     options = Options(
-        grid, segments, multiple_shooting, estimate_initial_state, loss, max_evaluations, restarts
-    )
+        grid, segments, multiple_shooting, estimate_initial_state, loss, max_evaluations, restarts,
+        difference_step,
+    )  # fmt: skip
     x = None if resume is None else read_fit(resume, sought.names)
     with progress_line("identify", progress) as say:
         identified = fit_in_stages(

@@ -41,6 +41,7 @@ class Options(NamedTuple):
     loss: str = "squares"
     max_evaluations: int = 100
     restarts: int = 4
+    difference_step: float | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ prior, which removes its bias in the identifiable directions.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
@@ -44,6 +45,8 @@ class Tolerances(NamedTuple):
         optimal: x is a minimum if the expected decrease of the Gauss-Newton step is smaller.
         relative: whether these are fractions of the cost, which then is |r|^2.
         calm: largest damping at the end of a search.
+        small: a step with a smaller divergence ends a stage.
+        rounding: x is a minimum if the divergence of the Gauss-Newton step is smaller.
     """
 
     flat: float
@@ -51,6 +54,8 @@ class Tolerances(NamedTuple):
     optimal: float
     relative: bool
     calm: float = CALM
+    small: float = SMALL
+    rounding: float = ROUNDING
 
 
 #: at a minimum the residual is orthogonal to all columns of J to within 3e-4 rad
@@ -96,6 +101,48 @@ def minimise(
         x = request.x
         request = steps.send(objective.triangle(x) if request.slopes else objective.cost(x))
     return request
+
+
+def minimise_by_differences(
+    objective: Objective, start: np.ndarray, prior: np.ndarray | None = None, *, step: float,
+    max_evaluations: int = 100, **options: Any,
+) -> Minimum:  # fmt: skip
+    """Minimise an objective whose slopes are differences over a step h, in the metric of D.
+
+    The cost is rough at lengths far below h, so a search ends where it expects a step shorter than
+    h / 10, or a decrease of the cost below 1e-4 of it. Then the cost is compared with the costs at
+    the distance h along each entry. The next search starts from the lowest one; if none is lower, x
+    is a minimum at this length.
+
+    Source: Kolda, Lewis & Torczon, *Optimization by direct search*, SIAM Review 45(3), 2003.
+    """
+    least = (step / 10) ** 2 / 2
+    rule = Tolerances(
+        flat=1e-4, coarse=1e-2, optimal=1e-4, relative=True, small=least, rounding=least
+    )
+    evaluations, x = 0, np.asarray(start, float)
+    while True:
+        found = minimise(
+            objective, x, prior, tolerances=rule, max_evaluations=max_evaluations - evaluations,
+            **options,
+        )  # fmt: skip
+        evaluations += found.evaluations
+        found = dataclasses.replace(found, evaluations=evaluations)
+        if found.status not in (FitStatus.CONVERGED, FitStatus.STUCK):
+            return found
+        near = [
+            found.x + side * d
+            for d in objective.divergence(found.x, found.x).moves(step)
+            for side in (1.0, -1.0)
+        ]
+        costs = [objective.cost(y) for y in near]
+        evaluations += len(costs)
+        if not min(costs) < found.cost:
+            return dataclasses.replace(found, evaluations=evaluations, status=FitStatus.CONVERGED)
+        x = near[int(np.argmin(costs))]
+        options.pop("triangle", None)
+        if evaluations >= max_evaluations:
+            return dataclasses.replace(found, evaluations=evaluations, status=FitStatus.BUDGET)
 
 
 class Request(NamedTuple):
@@ -160,7 +207,7 @@ def search(
         while not ended and count < max_evaluations:
             size = _largest_curvature(factor, R)
             trial = regularised_step(R, x, D, ((w * size, prior), (damping * size, x)))
-            near = D(trial, x).value <= SMALL
+            near = D(trial, x).value <= tolerances.small
             pull = w * size * (D(x, prior).value - D(trial, prior).value)
             expected = _expected_decrease(R, trial - x, now, tolerances) + pull
             scale = now if tolerances.relative else 1.0
@@ -236,7 +283,7 @@ def _is_minimum(
 
     def ends(y: np.ndarray) -> bool:
         expected = _expected_decrease(R, y - x, now, tolerances)
-        return bool(expected <= enough or D(y, x).value <= ROUNDING)
+        return bool(expected <= enough or D(y, x).value <= tolerances.rounding)
 
     # the step without bounds is at least as long, with at least as large an expected decrease
     if ends(x + identifiable_step(R, factor)):

@@ -23,7 +23,12 @@ from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import Recording, noise_is_stated
 from rbjax.sysid.estimators.identified import Options, write_fit
-from rbjax.sysid.estimators.least_squares import PRIOR_WEIGHTS, Minimum, minimise
+from rbjax.sysid.estimators.least_squares import (
+    PRIOR_WEIGHTS,
+    Minimum,
+    minimise,
+    minimise_by_differences,
+)
 from rbjax.sysid.estimators.verdict import NORMAL, is_poor, roughness
 from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 from rbjax.sysid.parameters.unknowns import Unknown
@@ -253,6 +258,7 @@ class StagedFit:
         return SimulationError(
             self.setup, self.unknowns, make_batch(self.setup, recordings, grid), grid,
             estimate_initial_state=self.options.estimate_initial_state, loss=self.options.loss,
+            difference_step=self.options.difference_step,
         )  # fmt: skip
 
     def _fit(self, of: SimulationError, x: np.ndarray, **how: Any) -> Fit:
@@ -284,7 +290,11 @@ class StagedFit:
                 kept = x if last else x[: self.shared]  # without the initial states of segments
                 write_fit(self.save, self.unknowns.names, kept, success=False, status="running")
 
-        found = minimise(of, x, near, triangle=slopes, max_evaluations=most, watch=watch, **how)
+        how |= {"triangle": slopes, "max_evaluations": most, "watch": watch}
+        if self.options.difference_step is None:
+            found = minimise(of, x, near, **how)
+        else:
+            found = minimise_by_differences(of, x, near, step=self.options.difference_step, **how)
         self.evaluations += found.evaluations
         return found
 

@@ -107,7 +107,7 @@ KEYS: dict[str, dict[str, str]] = {
     "options": {
         "estimate_initial_state": "yes", "segments": "positive", "multiple_shooting": "positive",
         "many_starts": "count", "restarts": "integer", "loss": "loss", "max_evaluations": "count",
-        "period": "positive", "substeps": "count",
+        "difference_step": "positive", "period": "positive", "substeps": "count",
     },
     "output": {"folder": "text"},
 }  # fmt: skip

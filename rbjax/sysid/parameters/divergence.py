@@ -43,6 +43,10 @@ class Divergence:
         with np.errstate(over="ignore"):
             return self.curved()
 
+    def moves(self, length: float) -> np.ndarray:
+        """Return changes (n, n) of p, each of one entry, of a length in the Hessian's metric."""
+        return np.diag(length / np.sqrt(np.diag(self.curvature)))
+
     @classmethod
     def impossible(cls, n: int) -> Divergence:
         return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.algorithms.manifold import integrate
+from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
 from rbjax.model import State
 from rbjax.rank_tolerances import rank_tolerance
@@ -30,12 +30,11 @@ from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
+from rbjax.sysid.simulation.triangular_factor import triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
 #: with loss="huber", the cost grows linearly above this residual in sigma
 HUBER = 1.345
-#: block size of LAPACK's QR in columns
-BLOCK = 64
 
 
 class Programs(NamedTuple):
@@ -144,13 +143,18 @@ class SimulationError:
 
     x (n + runs l,) contains the unknowns p (n,) and l corrections of each initial state. l is 2 nv,
     or 0 if initial states are not estimated.
+
+    With a `difference_step` h the slopes are central differences. The steps have the length h in
+    the metric of the divergence: h times a positive parameter.
     """
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         estimate_initial_state: bool | None = None, loss: str = "squares",
+        difference_step: float | None = None,
     ):  # fmt: skip
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
+        self.difference_step = difference_step
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.all_starts = estimate_initial_state is True  # also the known initial states
@@ -158,6 +162,11 @@ class SimulationError:
         if estimate_initial_state is None:
             estimate_initial_state = not np.asarray(runs.known).all()
         self.own = 2 * setup.model.nv if estimate_initial_state else 0
+        if self.own and difference_step is not None:
+            raise InputError(
+                "identify: difference_step with initial states that are estimated, expected known "
+                "ones; give estimate_initial_state=False, or the first q and v of recordings"
+            )
         self.programs: Programs = get_cached(make_programs, setup, unknowns, grid, self.own, loss)
         self._last: tuple[np.ndarray, Any] | None = None
 
@@ -213,19 +222,29 @@ class SimulationError:
 
     @property
     def colouring(self) -> Colouring | None:
-        """The colouring of the Jacobian."""
+        """The colouring of the Jacobian. Differences are along each unknown."""
+        if self.difference_step is not None:
+            return None
         return self.programs.colour(frozenset(self.runs.values))
 
     def _seeded_slopes(self, x: np.ndarray) -> Any:
         """Compute r (runs, rows) and its derivatives along the seeds of `colouring`.
 
-        The last result is cached, since the statistics of a fit use the derivatives of its last
-        step.
+        The last result is cached: the statistics of a fit use the derivatives of its last step.
         """
         if self._last is None or not np.array_equal(self._last[0], x):
-            found = self.programs.slopes(self.by_run(x), self.runs)
+            if self.difference_step is None:
+                found = self.programs.slopes(self.by_run(x), self.runs)
+            else:
+                found = self._differences(x, self.difference_step)
             self._last = np.array(x), jax.tree.map(np.asarray, found)
         return self._last[1]
+
+    def _differences(self, x: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the residuals r (runs, rows) and their central differences (runs, rows, n)."""
+        moves = self.divergence(x, x).moves(h)
+        columns = [(self.residuals(x + d) - self.residuals(x - d)) / (2 * d.sum()) for d in moves]
+        return self.residuals(x), np.stack(columns, -1)
 
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the residuals r (runs, rows) and the Jacobian J (runs, rows, n + l), by sorted
@@ -373,19 +392,6 @@ def sum_of_squares(r: np.ndarray) -> float:
     with np.errstate(over="ignore"):
         total = float(r @ r)
     return total if np.isfinite(total) else np.inf
-
-
-def triangle_of(rows: np.ndarray) -> np.ndarray:
-    """Compute the QR factor R of rows [J r], or nan if an entry is not finite."""
-    n = rows.shape[1]
-    if not np.isfinite(rows).all():
-        return np.full((n, n), np.nan, rows.dtype)
-    (factorise,) = get_lapack_funcs(("geqrf",), (rows,))
-    # column order and block size of LAPACK, twice as fast as `np.linalg.qr`
-    columns, _, _, _ = factorise(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
-    R: Any = np.triu(columns[:n])
-    missing = n - R.shape[0]
-    return R if missing <= 0 else np.pad(R, ((0, missing), (0, 0)))
 
 
 def _median_step(times: np.ndarray) -> float:

@@ -210,7 +210,8 @@ def torque_rows(
 
     @in_double
     def slopes() -> Array:
-        """Compute dW/dz, one direction of z at a time to save memory."""
+        """Compute dW/dz, the derivative of the observation matrix by the encoder zeros z, one
+        direction of z at a time to save memory."""
         each = (_slope(double, at, jnp.asarray(e), motion, **how) for e in np.eye(z.size))
         return np.stack([filtered(np.asarray(x)[:n]) for x in each], -1)
 

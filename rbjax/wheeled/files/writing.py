@@ -11,7 +11,8 @@ In addition the file has
                      k ((u - b) / lag - b') with one
     linkage      Ackermann's geometry as a polynomial of degree 4
     shafts       wheels on one shaft, and the rotor of a differential, as equalities
-    resistance   rolling resistance as friction loss of axles, at the loads at rest
+    resistance   rolling resistance as friction loss of axles, at the loads at rest, or as rolling
+                 friction of contacts, which follows the loads
 
 MuJoCo's contacts are soft. With solref = (T, 1), solimp = d and b = 2 / (d T), a wheel
 
@@ -49,7 +50,8 @@ from rbjax.wheeled.multibody.wheel_rows import linked
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Robot
 
-SHAPES = ("ellipsoid", "cylinder", "sphere")
+SHAPES = ("ellipsoid", "cylinder", "sphere", "capsule")
+RESISTANCES = ("axles", "contacts")
 #: MJCF's <option>; the pyramidal cone, MuJoCo's default, creeps more across than along
 OPTION = {"integrator": "implicitfast", "cone": "elliptic", "impratio": 10.0}
 _DEGREE = 4  # of MJCF's polynomials
@@ -64,6 +66,7 @@ def write_mjcf(
     wheel: str = "ellipsoid",
     width: float = 0.25,
     friction: float = 1.0,
+    resistance: str = "axles",
     solref: Sequence[float] = (0.02, 1.0),
     solimp: Sequence[float] = (0.9, 0.95, 0.001),
     steering_range: float = 0.6,
@@ -78,10 +81,12 @@ def write_mjcf(
     Args:
         robot: `Robot`, with known values and without rollers.
         path: a file to write to; None only returns the text.
-        wheel: "ellipsoid" touches in one point; "cylinder" in two or more, which scrub as the robot
-            turns; "sphere" in one, even if it leans far.
+        wheel: "ellipsoid" touches in one point; "cylinder" and "capsule" along a line, by two
+            points or more, which scrub as the robot turns; "sphere" in one, even if it leans far.
         width: the width of a wheel divided by its radius.
         friction: the coefficient of sliding friction.
+        resistance: how rolling resistance is written: "axles", a friction loss; "contacts", rolling
+            friction (condim 6), which MuJoCo's cone reduces under traction.
         solref, solimp: MuJoCo's softness of contacts and of equalities.
         steering_range: the joint limit of a steering with Ackermann's linkage, rad, and the range
             in which the polynomial is fitted. A comment in the file gives the error of the fit.
@@ -94,7 +99,7 @@ def write_mjcf(
 
     Raises:
         UnsupportedFeature: wheels with rollers; a motor that MJCF does not have.
-        UnknownName: no such shape.
+        UnknownName: no such shape, or no such way of writing the rolling resistance.
         InputError: numbers out of range, or traced; a wheel or caster without inertia.
         ModelError: MuJoCo rejects the file.
 
@@ -108,6 +113,7 @@ def write_mjcf(
         >>> model.nu, model.nv
         (2, 10)
     """
+    choice("way of writing rolling resistance", resistance, RESISTANCES)
     _check(robot, wheel, width=width, friction=friction, steering_range=steering_range,
            steering_time=steering_time)  # fmt: skip
     n = parameters_of(robot, jnp.result_type(float))
@@ -115,13 +121,16 @@ def write_mjcf(
     rigid = [row for row in full.constraints if isinstance(row, Gear)]
     linkages, error = _linkages(n, float(steering_range))
     draft = make_draft(full.replace(constraints=(*rigid, *linkages)))
-    touch = {"solref": text(solref), "solimp": text(solimp)}
+    touch = {"solref": text(solref), "solimp": text(solimp), "friction": text(friction)}
     for key, value in (OPTION | option).items():
         draft.option.set(key, text(value))
-    _write_ground(draft, n, wheel, float(width), touch | {"friction": text(friction)})
+    rolling = 0.0
+    if robot.resistance is not None and resistance == "contacts":
+        rolling, touch["condim"] = _own(n.robot.resistance.coefficient), "6"
+    _write_ground(draft, n, wheel, float(width), touch, rolling)
     _write_drives(draft, n)
     _write_steerings(draft, n, float(steering_range), float(steering_time))
-    _write_resistance(draft, n)
+    _write_resistance(draft, n, resistance == "axles")
     lost = [note for note in draft.notes if not note.startswith(_HARMLESS)]
     if linkages:
         draft.note(f"Ackermann's linkage within {error:.1g} rad")
@@ -173,15 +182,18 @@ def _linkages(n: Parameters, reach: float) -> tuple[list[JointPolynomial], float
 
 
 def _write_ground(
-    draft: Draft, n: Parameters, shape: str, width: float, touch: dict[str, str]
+    draft: Draft, n: Parameters, shape: str, width: float, touch: dict[str, str], rolling: float
 ) -> None:
-    """Write the plane, the shapes of wheels, and visible boxes of bodies."""
+    """Write the plane, the shapes of wheels, and visible boxes of bodies.
+
+    rolling: the coefficient of rolling resistance of the contacts.
+    """
     default = ET.Element("default")
     draft.root.insert(2, default)  # behind compiler and option
     ET.SubElement(default, "equality", solref=touch["solref"], solimp=touch["solimp"])
     # wheels touch only the ground, with their own parameters
     ways = {"contype": "1", "conaffinity": "0", "priority": "1", "rgba": "0.15 0.15 0.15 1"}
-    axle = {"zaxis": "0 1 0"} if shape == "cylinder" else {}
+    axle = {"zaxis": "0 1 0"} if shape in ("cylinder", "capsule") else {}
     ET.SubElement(ET.SubElement(default, "default", {"class": "wheel"}), "geom",
                   {"type": shape} | axle | touch | ways)  # fmt: skip
     seen = {"contype": "0", "conaffinity": "0", "rgba": "0.2 0.4 0.7 0.6"}
@@ -189,12 +201,16 @@ def _write_ground(
     ET.SubElement(draft.world, "light", pos="0 0 10")
     ground = {"name": "ground", "type": "plane", "size": "0 0 1", "rgba": "0.8 0.8 0.8 1"}
     ET.SubElement(draft.world, "geom", ground | {"contype": "0", "conaffinity": "1"})
-    for i, given in enumerate(n.robot.wheels):
-        r = _own(given.radius)
+    for i, made in enumerate(n.robot.wheels):
+        r = _own(made.radius)
         half = width * r / 2
-        size = {"ellipsoid": (r, half, r), "cylinder": (r, half), "sphere": (r,)}[shape]
+        line = (r, half)
+        size = {"ellipsoid": (r, half, r), "sphere": (r,)}.get(shape, line)
         body = draft.model.body(f"wheel_{i}")
-        draft.add(body, "geom", name=f"wheel_{i}", size=text(size), **{"class": "wheel"})
+        given = {"class": "wheel"}
+        if rolling:
+            given["friction"] = f"{touch['friction']} 0 {text(rolling * r)}"
+        draft.add(body, "geom", name=f"wheel_{i}", size=text(size), **given)
     for k, body in enumerate(n.robot.bodies):
         mine = [w for w in n.robot.wheels if w.body == k]
         places = np.array([[0.0, 0.0], *(np.asarray(w.position) for w in mine)])
@@ -291,13 +307,14 @@ def _write_steerings(draft: Draft, n: Parameters, reach: float, time: float) -> 
             draft.joints[model.joint(name)].set("range", text([-reach, reach]))
 
 
-def _write_resistance(draft: Draft, n: Parameters) -> None:
-    """Write the damping of axles, and rolling resistance as friction at the loads at rest."""
+def _write_resistance(draft: Draft, n: Parameters, axles: bool) -> None:
+    """Write the damping of axles, and rolling resistance as friction of axles at the loads at
+    rest."""
     for i, given in enumerate(n.robot.wheels):
         if _own(given.damping):
             joint = draft.joints[draft.model.joint(wheel_joint(i))]
             joint.set("damping", text(_own(given.damping)))
-    if n.robot.resistance is None:
+    if n.robot.resistance is None or not axles:
         return
     c = _own(n.robot.resistance.coefficient)
     for i, (given, load) in enumerate(zip(n.robot.wheels, wheel_loads(n), strict=True)):

@@ -8,8 +8,8 @@ import numpy as np
 import rbjax as rb
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.tendon_rows import tendon_rows
-from rbjax.contact.rows.tendon_weights import tendon_weights
 from rbjax.forces.context import Context
+from rbjax.forces.tendons.tendon_weights import tendon_weights
 from tests.forces.against_mujoco import states
 from tests.oracles.random_tendons import random_tendons
 from tests.robots import load_quietly

@@ -24,15 +24,16 @@ def has_tendon_rows(model: Model) -> bool:
     return own is not None and bool(own.limited or own.rubbing)
 
 
-def tendon_weights(model: Model) -> Any:
-    """Compute the inverse inertias (nt,) of tendons; (0,) if no tendon has limits or friction loss.
+def tendon_weights(model: Model, *, every: bool = False) -> Any:
+    """Compute the inverse inertias (nt,) of tendons; (0,) if no tendon has limits or friction loss,
+    unless `every` is True.
 
     They are a function of the model's leaves: masses, lengths and geoms change them as mj_setConst
     does. They are a NumPy array if the model is constant while tracing.
     """
-    if model.execution.weights is not None:
+    if model.execution.weights is not None and not every:
         return model.execution.weights[2]
-    if not has_tendon_rows(model):
+    if not has_tendon_rows(model) and not every:
         return np.zeros(0)
     model = without_constants(model)
     if is_traced(model):

@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.contact.rows.tendon_weights import tendon_weights
 from rbjax.dynamics.algorithms.aba import factorize
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.rolled import Rolled
@@ -69,12 +68,6 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
     body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
     return _with_slides(model, body, dof)
-
-
-def with_weights(model: Model, dtype: Any = None) -> Model:
-    """Precompute the inverse weights of bodies, dofs and tendons and store them in the model, for
-    all steps of a motion."""
-    return model.replace(weights=(*inverse_weights(model, dtype), tendon_weights(model)))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.inverse_weights import inverse_weights
+from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.loading import compile_model
 from tests.loading.test_load import load_quietly
 from tests.robots import QUICK
