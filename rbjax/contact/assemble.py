@@ -27,10 +27,13 @@ from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
-from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
-from rbjax.forces.tendons.tendon_weights import has_tendon_rows, tendon_weights
+from rbjax.forces.tendons.tendon_weights import (
+    has_tendon_rows,
+    tendon_weights,
+    weights_with_tendons,
+)
 from rbjax.lanes import Lane, Mat3, Vec3, add, sub, unpack
 from rbjax.model import WORLD, Model, State, prepare
 from rbjax.model.links import lane
@@ -213,7 +216,7 @@ class Assembly:
 
     @cached_property
     def _weights(self) -> tuple[Any, Any]:
-        return inverse_weights(self.model, self.q.dtype)
+        return weights_with_tendons(self.model, self.q.dtype)
 
     def _sets(self) -> list[ContactSet]:
         geoms: Any = self.model.geoms

@@ -11,6 +11,7 @@ Source: Jain, *Robot and Multibody Dynamics*, ch. 10 (operational space complian
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -30,11 +31,15 @@ from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
+#: a function of two arrays that returns both
+Correction = Callable[[Any, Any], tuple[Any, Any]]
 #: MuJoCo's least weight of a body that moves
 LEAST = 1e-15
 
 
-def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
+def inverse_weights(
+    model: Model, dtype: Any = None, correct: Correction | None = None
+) -> tuple[Any, Any]:
     """Compute MuJoCo's body_invweight0 (nb, 2) and dof_invweight0 (nv,).
 
     body[:, 0] is the mean of diag(J M^-1 J^T) of the three translations of the centre of mass,
@@ -46,6 +51,8 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     Args:
         model: the robot.
         dtype: the dtype of traced results; the one of the model if None.
+        correct: applied to the weights of bodies (nb, 2) and to diag(M^-1), for inertia that is
+            not in the links.
     """
     dtype = model.gravity.dtype if dtype is None else dtype
     if model.execution.weights is not None:
@@ -62,12 +69,17 @@ def inverse_weights(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     if constant and not isinstance(model.bodies.com, jax.core.Tracer):
         found = np.zeros((model.nb, 2))
         found[_moving(model)] = np.array(_of_bodies(d, model, response, dtype)).reshape(-1, 2)
-        return _with_slides(model, found, _averaged(model, np.array(diagonal)))
+        diagonal = np.array(diagonal)
+        if correct is not None:
+            with jax.ensure_compile_time_eval():
+                found, diagonal = (np.asarray(x, np.float64) for x in correct(found, diagonal))
+        return _with_slides(model, found, _averaged(model, diagonal))
     like = jnp.zeros((), dtype)
-    dof = _averaged(model, d.pack(diagonal, jnp.zeros(model.nv, dtype)))
+    dof = d.pack(diagonal, jnp.zeros(model.nv, dtype))
     weights = d.stack(_of_bodies(d, model, response, dtype), lambda pair: pair, like)
     body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
-    return _with_slides(model, body, dof)
+    body, dof = (body, dof) if correct is None else correct(body, dof)
+    return _with_slides(model, body, _averaged(model, dof))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

@@ -46,7 +46,7 @@ from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.mjcf.surfaces import surface_fields
-from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendons_of
+from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendon_armature, tendons_of
 from rbjax.loading.sources import compile_source, describe
 from rbjax.model.geoms import Geoms
 from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
@@ -95,7 +95,7 @@ def load(
             compliant. Limits and friction loss that are loaded as elements are not in it. A robot
             without contacts, limits and friction loss has `model.contact = None` and rigid
             equalities. False: the robot touches nothing. `model.dropped` names the pairs of geoms
-            that have no closed form.
+            that have no narrow phase.
 
     Returns:
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
@@ -221,7 +221,7 @@ def from_compiled(
     elastic = force_elements(m, limits=limits, friction=friction)
     solver = solver_parameters(m, array, limits=not limits, friction=not friction)
     pairs = closed_pairs(m) if contacts else []
-    tendons = limited_tendons(m) | rubbing_tendons(m)
+    tendons = limited_tendons(m) | rubbing_tendons(m) | (tendon_armature(m) != 0)
     contacts = contacts and bool(pairs or solver.limited or solver.rubbing or tendons.any())
     return Model(
         bodies=Bodies(

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 import equinox as eqx
 import jax
+import numpy as np
 
+from rbjax.errors import InputError, listed
 from rbjax.model.hulls import Hull
 from rbjax.model.record import Record
+
+#: kind of a geom -> the number of entries of its size that must be positive
+SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
+_SHOWN = 4  # names listed before "and N more"
 
 
 class Geoms(Record):
@@ -74,3 +83,50 @@ class Geoms(Record):
     pair_condim: tuple[int, ...] = eqx.field(static=True, default=())
     hulls: tuple[Hull | None, ...] = eqx.field(static=True, default=())
     fields: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def replace(self, **changes: Any) -> Geoms:
+        """Return a copy with the given fields changed. Arrays must keep their shapes.
+
+        Raises:
+            InputError: a number is not finite, or a geom that may touch has no size.
+
+        A `solref` of mixed signs is a warning. It counts as MuJoCo's default (0.02, 1).
+        """
+        new = super().replace(**changes)
+        touching = sorted({i for pair in new.pairs for i in pair})
+        if "size" in changes and not isinstance(new.size, jax.core.Tracer):
+            _check_sizes(new, touching)
+        for field in ("solref", "pair_solref", "pair_solreffriction"):
+            given = getattr(new, field)
+            if field in changes and not isinstance(given, jax.core.Tracer):
+                _warn_of_mixed_signs(new, field, np.asarray(given), touching)
+        return new
+
+
+def _check_sizes(geoms: Geoms, touching: list[int]) -> None:
+    """Raise InputError if a geom that may touch has no size."""
+    sizes = np.asarray(geoms.size)
+    for i in touching:
+        own = sizes[i, : SIZES.get(geoms.types[i], 0)]
+        if not (own > 0).all():
+            raise InputError(
+                f"Geoms.replace(size=...): the size of the {geoms.types[i]} {geoms.names[i]!r} is "
+                f"{own.tolist()}, expected numbers above zero; leave a geom out of contact by "
+                "replace(pairs=...) without its pairs, or by model.replace(contact=None)"
+            )
+
+
+def _warn_of_mixed_signs(geoms: Geoms, field: str, given: np.ndarray, touching: list[int]) -> None:
+    """Warn of rows with one positive number."""
+    mixed = np.flatnonzero((given[:, 0] > 0) != (given[:, 1] > 0)).tolist()
+    if field == "solref":
+        names = [geoms.names[i] for i in mixed if i in touching]
+    else:
+        names = [" and ".join(geoms.names[i] for i in geoms.pairs[k]) for k in mixed]
+    if names:
+        warnings.warn(
+            f"Geoms.replace({field}=...): mixed signs of {listed(names, _SHOWN)}; they count as "
+            "(0.02, 1). Give (time constant, damping ratio), both above zero, or (-stiffness, "
+            "-damping), neither above zero",
+            stacklevel=3,
+        )

@@ -39,14 +39,14 @@ class Tendons(Record):
         range: (nt, 2) m, limits of the length; infinite for none.
         forcerange: (nt, 2) N, limits of the sum of the actuator forces; infinite for none.
         frictionloss: (nt,) N.
-        armature: (nt,) kg, the inertia of the change of length.
+        armature: (nt,) kg, the inertia of the change of length, a row of the contact problem.
         limit_margin: (nt,) m, distance before a limit at which it begins to act.
         limit_solref, limit_solimp: (nt, 2) and (nt, 5), softness of the limits, as in MuJoCo.
         friction_solref, friction_solimp: (nt, 2) and (nt, 5), softness of the friction loss.
         length0: (nt,) m, length in the file's configuration, from which equalities are measured.
         names: of each tendon; static.
         paths: the waypoints of each tendon; static.
-        limited, rubbing: the tendons with limits and with friction loss; static.
+        limited, rubbing, inertial: the tendons with limits, friction loss and armature; static.
     """
 
     coefficients: jax.Array
@@ -67,6 +67,7 @@ class Tendons(Record):
     paths: tuple[tuple[Waypoint, ...], ...] = eqx.field(static=True)
     limited: tuple[int, ...] = eqx.field(static=True, default=())
     rubbing: tuple[int, ...] = eqx.field(static=True, default=())
+    inertial: tuple[int, ...] = eqx.field(static=True, default=())
 
     def first_coefficient(self, tendon: int) -> int:
         """Return the index of the first coefficient of a tendon."""

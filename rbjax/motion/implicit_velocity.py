@@ -27,6 +27,7 @@ from rbjax.errors import InputError
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import matrix
+from rbjax.forces.tendons.tendon_weights import armature_entries
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import WORLD, State, Topology
 from rbjax.motion.field import Field, free_motion
@@ -59,7 +60,10 @@ class ImplicitVelocity:
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
             a, x, kept = field.acceleration(t, state, u, dt)
             if entries:
-                a = a - velocity_of(model, q, product(entries, a), entries)
+                loss, left = product(entries, a), dict(entries)
+                for at, m in armature_entries(model, q).items():
+                    left[at] = add(left.get(at, 0.0), m)
+                a = a - velocity_of(model, q, loss, left)
         v = state.v + dt * a
         return State(field.retract(state.q, dt * v), v, x, *kept)
 

@@ -93,6 +93,25 @@ def test_a_leaf_that_is_not_finite_is_named() -> None:
             geoms.replace(**{field: getattr(geoms, field) * jnp.nan})
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("bad", [0.0, -0.1])
+def test_a_size_that_is_not_positive_is_named(bad, dtype) -> None:
+    geoms = rb.load(BALLS, contacts=True).astype(dtype).geoms
+    with pytest.raises(rb.InputError, match=r"size of the sphere .*expected numbers above zero"):
+        geoms.replace(size=geoms.size.at[1, 0].set(bad))
+    geoms.replace(size=geoms.size.at[0].set(bad))  # a plane has no size
+    geoms.replace(size=geoms.size.at[1, 2].set(bad))  # a sphere has one number
+
+
+def test_a_reference_of_mixed_signs_is_named() -> None:
+    model = rb.load(BALLS, contacts=True)
+    geoms = model.geoms
+    mixed = geoms.solref.at[1].set(jnp.array([-100.0, 0.5]))
+    with pytest.warns(UserWarning, match=r"Geoms.replace\(solref=...\): mixed signs of .*0.02, 1"):
+        geoms.replace(solref=mixed)
+    geoms.replace(solref=geoms.solref.at[1].set(jnp.array([-100.0, -0.5])))
+
+
 def test_touching_exactly_has_one_sided_derivatives() -> None:
     """A ball at the distance at which its contact begins: derivatives are finite."""
     text = BALLS[: BALLS.index("<body")] + (

@@ -44,7 +44,8 @@ def robust(times, u):
         times={"q": times}, values={"q": u.reshape(shape)}, weights={"q": np.ones(shape)}
     )
     of = SimpleNamespace(
-        slopes=lambda x: (r[None], J[None, :, None]), shared=1, own=0, count=1, loss="huber",
+        _seeded_slopes=lambda x: (r[None], J[None, :, None]),
+        _bases=lambda: {"q": [None]}, shared=1, own=0, count=1, loss="huber",
         runs=runs, setup=SimpleNamespace(columns=lambda sensor: Columns(1)),
     )  # fmt: skip
     of.rows_of = functools.partial(SimulationError.rows_of, of)

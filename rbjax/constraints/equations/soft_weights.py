@@ -21,17 +21,16 @@ from rbjax.constraints.rows.pairs import Pair
 from rbjax.constraints.rows.soft import Soft
 from rbjax.constraints.rows.tendons import TendonPolynomial
 from rbjax.dynamics import inverse_mass_matrix
-from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.place import Place
-from rbjax.forces.tendons.tendon_weights import tendon_weights
+from rbjax.forces.tendons.tendon_weights import tendon_weights, weights_with_tendons
 from rbjax.model import Model, without_constants
 
 
 def with_weights(model: Model, dtype: Any = None) -> Model:
     """Precompute the inverse inertias of bodies, dofs, tendons and soft constraints and store them
     in the model, for all steps of a motion."""
-    found = (*inverse_weights(model, dtype), tendon_weights(model), soft_weights(model))
+    found = (*weights_with_tendons(model, dtype), tendon_weights(model), soft_weights(model))
     return model.replace(weights=found)
 
 
@@ -50,7 +49,7 @@ def _weights(model: Model, soft: Soft) -> Any:
         return soft.weight
     one = soft.of
     if soft.at is None and isinstance(one, JointPolynomial):
-        _, dof = inverse_weights(model)
+        _, dof = weights_with_tendons(model)
         top = model.topology
         return _sum(dof, [top.joint_v[model.joint(x)] for x in (one.joint, one.driver)
                           if x is not None])  # fmt: skip
@@ -58,7 +57,7 @@ def _weights(model: Model, soft: Soft) -> Any:
         ends = [model.tendon(x) for x in (one.tendon, one.driver) if x is not None]
         return _sum(tendon_weights(model, every=True), ends)
     if soft.at is None and isinstance(one, Pair):
-        body, _ = inverse_weights(model)
+        body, _ = weights_with_tendons(model)
         ends = [_body(model, x) for x in (one.a, one.b)]
         both = body[np.array([x for x in ends if x is not None], int)].sum(0)
         return both[np.array([0] * 3 + [1] * (one.size - 3))[: one.size]]

@@ -138,15 +138,17 @@ def _face_contacts(
     polygon = jnp.concatenate([local, jnp.zeros((VERTICES - 4, 3), local.dtype)])
     count = jnp.int32(4)
     for axis, sign, limit in ((0, 1.0, sx), (0, -1.0, sx), (1, 1.0, sy), (1, -1.0, sy)):
-        polygon, count = _clip(polygon, count, limit - sign * polygon[:, axis])
+        polygon, count = clip_polygon(polygon, count, limit - sign * polygon[:, axis])
     exists = (jnp.arange(VERTICES) < count) & (polygon[:, 2] <= reach)
-    exists &= ~_repeated(polygon, count, 1e-7 * jnp.sqrt(sx * sx + sy * sy))
+    exists &= ~repeated(polygon, count, 1e-7 * jnp.sqrt(sx * sx + sy * sy))
     height = polygon[:, 2]
     position = origin + polygon[:, :1] * x + polygon[:, 1:2] * y + (0.5 * height)[:, None] * outward
     return height, position, jnp.broadcast_to(normal, (VERTICES, 3)), exists
 
 
-def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.Array, jax.Array]:
+def clip_polygon(
+    polygon: jax.Array, count: jax.Array, inside: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Clip a polygon to the half-space inside >= 0. Return its vertices and their number.
 
     inside: a linear function at the vertices. count: number of vertices.
@@ -166,7 +168,7 @@ def _clip(polygon: jax.Array, count: jax.Array, inside: jax.Array) -> tuple[jax.
     return jnp.where(slot[..., None], points[None], 0.0).sum(1), jnp.minimum(valid.sum(), VERTICES)
 
 
-def _repeated(polygon: jax.Array, count: jax.Array, least: jax.Array) -> jax.Array:
+def repeated(polygon: jax.Array, count: jax.Array, least: jax.Array) -> jax.Array:
     """Return a mask of the vertices that are nearer than `least` to an earlier vertex."""
     gap = jnp.linalg.norm(polygon[:, None, :2] - polygon[None, :, :2], axis=-1)
     index = jnp.arange(VERTICES)

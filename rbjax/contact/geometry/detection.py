@@ -75,7 +75,7 @@ def detect(
 
     Raises:
         InputError: the model has no geoms; shapes and dtypes. UnknownName: no such geom.
-        UnsupportedFeature: kinds of geoms that have no closed form; the message lists them.
+        UnsupportedFeature: kinds of geoms that have no narrow phase; the message lists them.
 
     Source: Ericson, *Real-Time Collision Detection*, ch. 5.
 
@@ -97,7 +97,7 @@ def detect(
 
 
 def pairs() -> tuple[tuple[str, str], ...]:
-    """Return the kinds of geoms whose contacts have a closed form, in pairs.
+    """Return the kinds of geoms that have a narrow phase, in pairs.
 
     Example:
         >>> import rbjax as rb
@@ -181,7 +181,7 @@ def _stacked(vectors: Sequence[Vec3], dtype: Any) -> Vec3:
 
 def chosen_pairs(where: str, model: Model, pairs: Any) -> Pairs:
     """Return pairs of geoms by index, the geom of the earlier kind first; those of the file if
-    None. Raise if the model has no geoms, or if a pair is wrong or has no closed form."""
+    None. Raise if the model has no geoms, or if a pair is wrong or has no narrow phase."""
     geoms = model.geoms
     if geoms is None:
         raise InputError(f"{where}: the model has no geoms; load it from a file with geoms")
@@ -191,7 +191,7 @@ def chosen_pairs(where: str, model: Model, pairs: Any) -> Pairs:
     if missing:
         known = ", ".join(f"{a} and {b}" for a, b in PAIRS)
         raise UnsupportedFeature(
-            f"{where}: no closed form for the contacts of {'; '.join(missing)}; known: {known}; "
+            f"{where}: no narrow phase for the contacts of {'; '.join(missing)}; known: {known}; "
             "give pairs= without these geoms"
         )
     return chosen

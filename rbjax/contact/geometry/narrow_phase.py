@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from rbjax.contact.geometry.box_box import box_box
 from rbjax.contact.geometry.capsule_box import capsule_box, sphere_box
 from rbjax.contact.geometry.capsule_cylinder import capsule_cylinder
+from rbjax.contact.geometry.cylinder_pairs import cylinder_box, cylinder_cylinder
 from rbjax.contact.geometry.height_field import field_box, field_capsule, field_sphere
 from rbjax.contact.geometry.plane_mesh import plane_mesh
 from rbjax.contact.geometry.shapes import PARALLEL, TINY, Contact, Shape, times, unit
@@ -170,6 +171,8 @@ PAIRS: dict[tuple[str, str], Pair] = {
     ("capsule", "capsule"): capsule_capsule,
     ("capsule", "cylinder"): capsule_cylinder,
     ("capsule", "box"): capsule_box,
+    ("cylinder", "cylinder"): cylinder_cylinder,
+    ("cylinder", "box"): cylinder_box,
     ("box", "box"): box_box,
 }
 
@@ -181,6 +184,7 @@ COUNTS = dict.fromkeys(PAIRS, 1) | {
     ("plane", "capsule"): 2, ("plane", "cylinder"): 4, ("plane", "box"): 8, ("plane", "mesh"): 4,
     ("hfield", "capsule"): 2, ("hfield", "box"): 8,
     ("capsule", "capsule"): 2, ("capsule", "cylinder"): 2, ("capsule", "box"): 2, ("box", "box"): 8,
+    ("cylinder", "cylinder"): 4, ("cylinder", "box"): 4,
 }  # fmt: skip
 
 

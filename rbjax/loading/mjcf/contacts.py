@@ -1,4 +1,4 @@
-"""Contacts of a file as the model takes them: pairs with a closed form, and checks of geoms."""
+"""Contacts of a file as the model takes them: pairs with a narrow phase, and checks of geoms."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.mjcf.solver_parameters import solver_parameters
 from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons
+from rbjax.model.geoms import SIZES
 
 _SHOWN = 4  # names listed before "and N more"
-#: kind of a geom -> the number of entries of its size that must be positive
-_SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
 _BITS = mujoco.mjtEnableBit
 #: options that change contacts and are not supported
 _OPTIONS = {
@@ -34,20 +33,20 @@ def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def closed_pairs(m: mujoco.MjModel) -> list[int]:
-    """Return the positions in `contact_pairs` of the pairs that have a closed form."""
+    """Return the positions in `contact_pairs` of the pairs that have a narrow phase."""
     kinds = kinds_of(m)
     return [i for i, pair in enumerate(contact_pairs(m)) if _is_closed(m, kinds, *pair)]
 
 
 def _is_closed(m: mujoco.MjModel, kinds: tuple[str, ...], a: int, b: int) -> bool:
-    """Return whether a pair has a closed form. A mesh needs its hull, with faces."""
+    """Return whether a pair has a narrow phase. A mesh needs its hull, with faces."""
     if kinds[b] == "mesh" and not m.mesh_polynum[m.geom_dataid[b]]:
         return False
     return (kinds[a], kinds[b]) in PAIRS
 
 
 def contacts_left_out(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the entries of `Model.dropped` about contacts that have no closed form, and about
+    """Return the entries of `Model.dropped` about contacts that have no narrow phase, and about
     options of contacts."""
     kinds = kinds_of(m)
     missing = Counter(
@@ -73,7 +72,7 @@ def check_geoms(m: mujoco.MjModel) -> None:
     kinds, names = kinds_of(m), names_of(m, mujoco.mjtObj.mjOBJ_GEOM, m.ngeom)
     pairs = contact_pairs(m)
     for i in sorted({i for pair in pairs for i in pair}):
-        sizes = m.geom_size[i, : _SIZES.get(kinds[i], 0)]
+        sizes = m.geom_size[i, : SIZES.get(kinds[i], 0)]
         if not (sizes > 0).all():
             raise ModelError(
                 f"geom {names[i]!r}: the size of the {kinds[i]} is {sizes.tolist()}, expected "

@@ -29,6 +29,7 @@ _CURES = {
     "joint friction loss": "load(contacts=True) or load(friction=True) takes it",
     "tendon limits": "load(contacts=True) takes them",
     "tendon friction loss": "load(contacts=True) takes it",
+    "tendon armature": "load(contacts=True) takes it",
     "equality constraints (": "load(constraints=True) loads them",
     "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
     "contacts": "load(contacts=True) takes them; for wheels on the ground use rbjax.wheeled",
@@ -56,7 +57,8 @@ def dropped_features(
 ) -> tuple[str, ...]:
     """Return an entry of `Model.dropped` for each unsupported feature that changes the motion.
 
-    With `contacts`, limits and friction loss of joints and tendons are supported, and
+    With `contacts`, limits and friction loss of joints and tendons and armature of tendons are
+    supported, and
     `contacts_left_out` lists pairs."""
     obj, solved = mujoco.mjtObj, Off.mjDSBL_CONSTRAINT
     out: list[str] = []
@@ -81,7 +83,7 @@ def dropped_features(
     if not contacts:
         note("tendon limits", limited_tendons(m), tendon)
         note("tendon friction loss", rubbing_tendons(m), tendon)
-    note("tendon armature", tendon_armature(m) != 0, tendon)
+        note("tendon armature", tendon_armature(m) != 0, tendon)
     note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)

@@ -60,6 +60,7 @@ def tendons_of(m: mujoco.MjModel, array: Callable) -> Tendons | None:
         paths=tuple(_path(m, i) for i in range(m.ntendon)),
         limited=tuple(np.flatnonzero(limited).tolist()),
         rubbing=tuple(np.flatnonzero(rubbing).tolist()),
+        inertial=tuple(np.flatnonzero(tendon_armature(m)).tolist()),
     )
 
 
