@@ -19,7 +19,14 @@ import jax.numpy as jnp
 
 from rbjax.contact.problem import stacked
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.dynamics.algorithms.aba import accelerated, eliminated, factorize, solve
+from rbjax.dynamics.algorithms.aba import (
+    accelerated,
+    eliminated,
+    factorize,
+    named,
+    solve,
+    transforms,
+)
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.lanes import Lane, add, mul, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -36,6 +43,10 @@ class Factors(NamedTuple):
         """Solve for x (nv,) with the factored Hessian as matrix and b (nv,) as right side."""
         return self.d.pack(solve(self.d, self.factors, self.d.lanes(b)), b)
 
+    def named(self) -> Factors:
+        """Name the factors, so that derivatives save them."""
+        return self._replace(factors=named(self.factors))
+
 
 class ArticulatedTree(NamedTuple):
     """The tree of a robot at a configuration.
@@ -46,6 +57,7 @@ class ArticulatedTree(NamedTuple):
         touching: the links that can touch the world.
         link_pairs: (WORLD, link) for each link that can touch the world.
         weights: inverse inertia of each dof, which scales the error.
+        poses: of each link in its parent, if a derivative saves the factors; else None.
     """
 
     d: Driver
@@ -53,6 +65,11 @@ class ArticulatedTree(NamedTuple):
     touching: Sequence[int]
     link_pairs: Sequence[tuple[int, int]]
     weights: list[Lane]
+    poses: Any = None
+
+    def saved(self) -> ArticulatedTree:
+        """Return the tree for factors that a derivative saves."""
+        return self._replace(poses=transforms(self.d, self.joints))
 
     def twists(self, x: jax.Array, dtype: Any) -> jax.Array:
         """Compute the twists (n + 1, 6) of the links that can touch and of the world, at velocities
@@ -99,7 +116,7 @@ class ArticulatedTree(NamedTuple):
             for i, x in row.J.items():
                 extra[i] = add(extra.get(i, 0.0), mul(h, mul(x, x)))
         given = d.scattered(extra, 0.0), d.scattered(K, zero)
-        return Factors(d, factorize(d, self.joints, *given))
+        return Factors(d, factorize(d, self.joints, *given, self.poses))
 
     def step(self, found: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
         """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`

@@ -1,7 +1,7 @@
-"""Contact forces at a solution of the contact problem, from its slots or from all candidates.
+"""Contact forces at a solution of the contact problem, from its slots or at a given acceleration.
 
-The slots hold the contacts that the solver has found. A loop over all candidates runs the narrow
-phase again, and has derivatives in reverse mode.
+The slots hold the contacts that the solver has found. Forces at a given acceleration have
+derivatives in both modes.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ import jax.numpy as jnp
 
 from rbjax.contact.contact_rows import ContactSet, Slots, place_of
 from rbjax.contact.geometry.narrow_phase import COUNTS
+from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.newton import Solution
-from rbjax.contact.problem import Problem, residual
+from rbjax.contact.problem import Problem
 from rbjax.lanes import Lane, Vec3, pack
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.spatial import Force
+
+#: numbers of a row of `contact_forces`
+WIDTH = 20
 
 
 class ContactForces(Record):
@@ -106,28 +110,28 @@ def rows_of_slots(
     return _joined(found, problem.dtype), _generalized(problem, wrenches)
 
 
-def rows_of_candidates(
-    problem: Problem, a: jax.Array, origin: Vec3
+def rows_in_use(
+    problem: Problem, used: Sequence[InUse], a: jax.Array, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
-    """Compute the table of `contact_forces` and J^T f at an acceleration a (nv,), from all
-    candidates."""
+    """Compute the rows of `contact_forces` and the joint forces J^T f of the contacts at an
+    acceleration a, from the contacts in use. Derivatives exist in both modes."""
     found, wrenches = [], _no_wrenches(problem)
     twists = problem.tree.twists(a, problem.dtype)
-    for contacts in problem.sets:
-
-        def store(carry: tuple, row: Any, active: Any, of: ContactSet = contacts) -> tuple:
-            (rows, wrenches), k = carry, row.candidate
-            f = of.cone(row).response(residual(of, row, twists)).f
-            f = [jnp.where(active, x, 0.0) for x in f]
-            values = _row(place_of(row.contact), origin, f, rows[0])
-            values = jnp.where(row.contact.exists, values, rows[k])
-            wrenches = of.add_forces(row, wrenches, f)
-            return rows.at[k].set(values), wrenches
-
-        start = _no_contacts(contacts, problem.dtype), wrenches
-        rows, wrenches = contacts.scan(problem.touching, store, start)
-        found.append(rows)
+    for contacts, own in zip(problem.sets, used, strict=True):
+        given = contacts, problem.touching, twists, own
+        more, rows = wrenches_in_use(*given, _numbers, WIDTH)
+        wrenches = wrenches + more
+        exists = rows[:, :1]
+        distance = jnp.where(exists > 0, rows[:, 1:2], jnp.inf)
+        position = rows[:, 2:5] + exists * pack(list(origin), rows[0])
+        found.append(jnp.concatenate([exists, distance, position, rows[:, 5:]], axis=1))
     return _joined(found, problem.dtype), _generalized(problem, wrenches)
+
+
+def _numbers(contacts: Any, row: Any, f: list[Lane], r: list[Lane]) -> jax.Array:
+    del contacts, r
+    none = jnp.zeros(WIDTH, row.contact.distance.dtype)
+    return _row(place_of(row.contact), Vec3.zero(), f, none)
 
 
 def contact_forces(rows: jax.Array, geoms: tuple[tuple[int, int], ...]) -> ContactForces:
@@ -148,7 +152,7 @@ def _row(place: Sequence[Lane], origin: Vec3, f: Sequence[Lane], like: jax.Array
 
 
 def _no_contacts(contacts: ContactSet, dtype: Any) -> jax.Array:
-    return jnp.zeros((contacts.candidates, 20), dtype).at[:, 1].set(jnp.inf)
+    return jnp.zeros((contacts.candidates, WIDTH), dtype).at[:, 1].set(jnp.inf)
 
 
 def _no_wrenches(problem: Problem) -> jax.Array:
@@ -161,4 +165,4 @@ def _generalized(problem: Problem, wrenches: jax.Array) -> list[Lane]:
 
 
 def _joined(found: list[jax.Array], dtype: Any) -> jax.Array:
-    return jnp.concatenate(found) if found else jnp.zeros((0, 20), dtype)
+    return jnp.concatenate(found) if found else jnp.zeros((0, WIDTH), dtype)

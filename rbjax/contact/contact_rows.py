@@ -13,7 +13,7 @@ axes e_k of a contact at p, and the twists V of its two links about o,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -28,7 +28,7 @@ from rbjax.contact.parameters import tangential_solref
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, total, unpack
+from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -132,6 +132,17 @@ class ContactSet:
     coupled: bool
 
     @property
+    def tables(self) -> tuple[Any, Any, Any]:
+        """The numbers of each pair, of each candidate, and of all contacts."""
+        columns = self.parameters._replace(condim=())
+        return (columns, self.weights), (), self.options
+
+    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> ContactSet:
+        """Return the set with other `tables`."""
+        del by_candidate
+        return replace(self, parameters=by_pair[0], weights=by_pair[1], options=shared)
+
+    @property
     def candidates(self) -> int:
         """The number of candidate contacts."""
         return sum(COUNTS[kind.kinds] * len(pairs) for kind, pairs in self.kinds.items())
@@ -150,6 +161,11 @@ class ContactSet:
         both = zip(row.first_axes, row.axes, strict=True)
         return [b.dot(second) - a.dot(first) for a, b in both]
 
+    def residual(self, row: Row, twists: jax.Array) -> list[Lane]:
+        """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
+        both = zip(self.rates(row, twists), row.reference, strict=True)
+        return [sub(a, b) for a, b in both]
+
     def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
         """Add the forces f along the rows of a contact to the wrenches on its two links."""
         one, other = self._ends(row)
@@ -159,21 +175,12 @@ class ContactSet:
 
     def _ends(self, row: Row) -> list[Any]:
         """Return the indices of the two links of a contact."""
-        return [_entry(self.links[:, k], row.pair) for k in (0, 1)]
+        return [entry(self.links[:, k], row.pair) for k in (0, 1)]
 
     def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
         """Add the stiffness K of a contact to the sum (n, 21) of its pair of links."""
         lanes = jnp.stack([*K.J, *K.H, *K.M])
-        return sums.at[_entry(self.link_pairs, row.pair)].add(lanes)
-
-    def scan(self, world: World, step: Callable[[Any, Any, Any], Any], carry: Any) -> Any:
-        """Run carry = step(carry, row, active) over the rows of all candidate contacts."""
-
-        def with_row(carry: Any, *at: Any) -> Any:
-            active = at[-1]
-            return step(carry, self.row_of(world, *at), active)
-
-        return self._scan(world, with_row, carry)
+        return sums.at[entry(self.link_pairs, row.pair)].add(lanes)
 
     def _scan(self, world: World, step: Callable, carry: Any) -> Any:
         """Run carry = step(carry, contact, pair, candidate, active) over all candidate contacts."""
@@ -183,7 +190,7 @@ class ContactSet:
 
             def of_pair(carry: Any, at: Any, kind: Any = kind) -> tuple[Any, None]:
                 pair, first = at
-                one, other = (_shape(world.geoms[_entry(self.geoms[:, k], pair)]) for k in (0, 1))
+                one, other = (shape_of(world.geoms[entry(self.geoms[:, k], pair)]) for k in (0, 1))
                 margin = self._lane(self.parameters.margin, pair)
                 reach = margin + self._lane(self.parameters.gap, pair)
                 found = pair_contacts(kind, one, other, reach, world.heights)
@@ -209,8 +216,7 @@ class ContactSet:
         def store(found: Found, contact: Contact, pair: Any, candidate: Any, active: Any) -> Found:
             # a branch, because stores at places that differ between the lanes of a warp are slow
             k, more = found.length, contact.exists if gap else active
-            tangent = Vec3.zero() if contact.tangent is None else contact.tangent
-            lanes = [contact.distance, *contact.position, *contact.normal, *tangent]
+            lanes = contact.lanes
 
             def stored() -> Found:
                 return Found(
@@ -242,7 +248,7 @@ class ContactSet:
         D, references = self._reference(row, r, v)
         if world.responses is not None:
             mu = () if self.options.elliptic else self.cone(row).mu
-            D = D * stretch(row.axes, mu, world.responses[:, _entry(self.link_pairs, pair)])
+            D = D * stretch(row.axes, mu, world.responses[:, entry(self.link_pairs, pair)])
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
 
     def axes(self, world: World, contact: Contact, pair: Any) -> list[list[Motion]]:
@@ -255,7 +261,7 @@ class ContactSet:
             return [axes]
         # if one of the links is the world, it is the last one
         links = (self.links[:, 0], self.links[:, 1]) if self.coupled else (self.links.min(1),)
-        return [_in_link(world.poses[_entry(k, pair)], axes) for k in links]
+        return [_in_link(world.poses[entry(k, pair)], axes) for k in links]
 
     def _reference(self, row: Row, r: Lane, v: list[Lane]) -> tuple[Lane, list[Lane]]:
         """Compute the inverse regularization and the reference accelerations of a contact.
@@ -286,14 +292,14 @@ class ContactSet:
 
     def _lanes(self, table: Any, pair: Any) -> list[Lane]:
         """Return the row of a pair in a table (n, m) as lanes."""
-        found = _entry(table, pair)
+        found = entry(table, pair)
         if isinstance(found, np.ndarray):
             return [float(x) for x in found]
         return list(found.astype(self.dtype))
 
     def _lane(self, table: Any, pair: Any) -> Lane:
         """Return the entry of a pair in a table (n,) as a lane."""
-        found = _entry(table, pair)
+        found = entry(table, pair)
         return float(found) if isinstance(found, np.generic) else found.astype(self.dtype)
 
 
@@ -378,12 +384,13 @@ def _in_link(pose: jax.Array, axes: Sequence[Motion]) -> list[Motion]:
     return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
 
 
-def _shape(row: jax.Array) -> Shape:
+def shape_of(row: jax.Array) -> Shape:
+    """Return the shape of a row of `World.geoms`."""
     lanes = [row[k] for k in range(15)]
     return Shape(Vec3(*lanes[9:12]), Mat3(*lanes[:9]), Vec3(*lanes[12:]))
 
 
-def _entry(table: Any, index: Any) -> Any:
+def entry(table: Any, index: Any) -> Any:
     """Return a row of a table, without a gather if the table or the index is constant."""
     if not isinstance(table, np.ndarray):
         return table[index]

@@ -18,14 +18,15 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_forces import geoms_of_rows, rows_of_candidates, rows_of_slots
+from rbjax.contact.contact_forces import geoms_of_rows, rows_in_use, rows_of_slots
 from rbjax.contact.contact_rows import Slots
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import COUNTS
+from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.latched_disc import DiscSet, memory_width
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
 from rbjax.contact.parameters import pair_parameters
-from rbjax.contact.problem import Problem, residual
+from rbjax.contact.problem import Problem
 from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import (
     ContactSolution,
@@ -156,7 +157,9 @@ class CoulombContact:
             at = State(q, v, memory=memory)
             a, after, rounds = self._accelerated(model, t, at, tau, f_ext, dt)
             origin, problem = problem_at(changed, q, v, tau, memory)
-            contacts = rows_of_candidates(problem, a, origin)
+            still = problem_at(*jax.lax.stop_gradient((changed, q, v, tau, memory)))[1]
+            used = _detected(still, gap=True).in_use
+            contacts = rows_in_use(problem, used, a, origin)
             return SolutionArrays.of(problem, contacts, a, rounds, self.solver_error(after))
 
         run = with_rule_of(plain, differentiable)
@@ -191,20 +194,20 @@ class CoulombContact:
         def solved(*at: Any) -> tuple[Any, Any]:
             problem, found = solved_at(*at)
             change = _linear_solver(problem, found.solution)
-            return results(problem, found), [change, lambda b: b]
+            return results(problem, found), [change, lambda b: b], problem.in_use
 
         def equation(*at_and_a: Any) -> jax.Array:
-            *at, a = at_and_a
+            *at, a, used = at_and_a
             assembly, problem = problem_at(*at)
             _, f_ext, *_ = rebuilt(at[0])
             tau = at[3]
-            pushes = pack(problem.constraint_forces(a), tau)
+            pushes = pack(problem.constraint_forces(a, used), tau)
             return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
         def remembered(*at_and_after: Any) -> jax.Array:
-            *at, a, memory = at_and_after
+            *at, a, memory, used = at_and_after
             _, problem = problem_at(*at)
-            return _memory_of_candidates(problem, a, memory) - memory
+            return _memory_in_use(problem, a, memory, used) - memory
 
         run = with_implicit_jvp(plain, solved, equation, remembered)
         return run(*jax_arrays(given, state.q, state.v, tau, state.memory))
@@ -357,17 +360,14 @@ def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
     return jnp.concatenate([*parts, error[None]])
 
 
-def _memory_of_candidates(problem: Problem, a: jax.Array, memory: jax.Array) -> jax.Array:
-    """Compute the memory (bristles and normal forces) after a step from all candidate contacts. Its
-    reverse-mode derivatives exist."""
+def _memory_in_use(
+    problem: Problem, a: jax.Array, memory: jax.Array, used: list[InUse]
+) -> jax.Array:
+    """Compute the memory after a step from the contacts in use, with derivatives."""
     twists, parts = problem.tree.twists(a, problem.dtype), list[Any]()
-    for contacts in problem.sets:
+    for contacts, own in zip(problem.sets, used, strict=True):
         if isinstance(contacts, DiscSet):
-
-            def store(out: Any, row: Any, active: Any, of: Any = contacts) -> Any:
-                new = of.next_memory(row, residual(of, row, twists), active)
-                return out.at[row.candidate].set(new)
-
-            zero = jnp.zeros_like(contacts.memory)
-            parts.append(contacts.scan(problem.touching, store, zero).reshape(-1))
+            new = lambda of, row, f, r: of.next_memory(row, r, True)  # noqa: E731
+            given = contacts, problem.touching, twists, own
+            parts.append(wrenches_in_use(*given, new, contacts.memory.shape[1])[1].reshape(-1))
     return jnp.concatenate([*parts, memory[-1:]])

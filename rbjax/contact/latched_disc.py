@@ -157,6 +157,18 @@ class DiscSet(ContactSet):
         kept = {f.name: getattr(given, f.name) for f in fields(ContactSet)}
         return cls(**kept, memory=memory, step=step, share=share, stiffness=stiffness)
 
+    @property
+    def tables(self) -> tuple[Any, Any, Any]:
+        """The numbers of each pair, of each candidate, and of all contacts."""
+        by_pair, _, shared = super().tables
+        return by_pair, self.memory, (shared, self.step, self.share, self.stiffness)
+
+    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> DiscSet:
+        """Return the set with other `tables`."""
+        options, step, share, stiffness = shared
+        given = super().with_tables(by_pair, by_candidate, options)
+        return DiscSet.of(given, by_candidate, step, share, stiffness)
+
     def cone(self, row: Any) -> Any:
         """Return the friction model of a contact."""
         mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]

@@ -26,6 +26,7 @@ Vandenberghe, *Convex Optimization*, 9.5.)
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -116,9 +117,10 @@ def solve(
 
 
 def factorize_at(problem: Problem, solution: Solution) -> Any:
-    """Factorize the Hessian at a solution."""
+    """Factorize the Hessian at a solution, with names by which a derivative saves the factors."""
+    problem = replace(problem, tree=problem.tree.saved())
     at = _start(problem)._replace(x=solution.x, residuals=solution.residuals)
-    return _factors(problem, at, _evaluate(problem, at))
+    return _factors(problem, at, _evaluate(problem, at)).named()
 
 
 def _start(problem: Problem) -> _Iterate:

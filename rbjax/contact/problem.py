@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
+from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
@@ -36,6 +38,12 @@ class Factors(NamedTuple):
     def solve(self, b: jax.Array) -> jax.Array:
         """Solve for x (nv,) with the factored Hessian as matrix and b (nv,) as right side."""
         return pack(self.factors.solve(unpack(b)), b)
+
+    def named(self) -> Factors:
+        """Name the factors, so that derivatives save them."""
+        name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
+        L, inverse_D = jax.tree.map(name, (self.factors.L, self.factors.inverse_D))
+        return Factors(self.factors._replace(L=L, inverse_D=inverse_D))
 
 
 class Tree(NamedTuple):
@@ -58,6 +66,10 @@ class Tree(NamedTuple):
     touching: Sequence[int]
     link_pairs: Sequence[tuple[int, int]]
     weights: list[Lane]
+
+    def saved(self) -> Tree:
+        """Return the tree for factors that a derivative saves."""
+        return self
 
     def twists(self, x: jax.Array, dtype: Any) -> jax.Array:
         """Compute the twists (n + 1, 6) of the links that can touch and of the world at joint
@@ -175,19 +187,12 @@ class Problem:
         assert self.world is not None
         return self.world
 
-    def constraint_forces(self, x: jax.Array) -> list[Lane]:
-        """Compute the joint forces J^T f at x (nv,) from all candidate contacts. Reverse-mode
-        derivatives exist."""
+    def constraint_forces(self, x: jax.Array, used: Sequence[InUse]) -> list[Lane]:
+        """Compute J^T f at x (nv,) from the contacts in use of each set, with derivatives."""
         twists = self.tree.twists(x, self.dtype)
         wrenches = jnp.zeros_like(twists)
-        for contacts in self.sets:
-
-            def push(wrenches: jax.Array, row: Any, active: Any, of: Any = contacts) -> jax.Array:
-                r = residual(of, row, twists)
-                f = [jnp.where(active, y, 0.0) for y in of.cone(row).response(r).f]
-                return of.add_forces(row, wrenches, f)
-
-            wrenches = contacts.scan(self.touching, push, wrenches)
+        for contacts, own in zip(self.sets, used, strict=True):
+            wrenches = wrenches + wrenches_in_use(contacts, self.touching, twists, own)[0]
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
         lanes = unpack(x)
         for row in self.rows:
@@ -195,11 +200,11 @@ class Problem:
             out = add_row(out, row, f)
         return out
 
-
-def residual(contacts: ContactSet, row: Any, twists: jax.Array) -> list[Lane]:
-    """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
-    y = contacts.rates(row, twists)
-    return [sub(a, b) for a, b in zip(y, row.reference, strict=True)]
+    @property
+    def in_use(self) -> list[InUse]:
+        """The contacts in use of each set, after `detect`. Derivatives save them."""
+        found = [InUse.of(slots.found) for slots in self.slots]
+        return jax.tree.map(lambda x: checkpoint_name(x, "contacts"), found)
 
 
 def add_row(out: list[Lane], row: ScalarRow, f: Lane) -> list[Lane]:

@@ -7,15 +7,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
     ContactForces,
     geoms_of_rows,
-    rows_of_candidates,
+    rows_in_use,
     rows_of_slots,
 )
+from rbjax.contact.in_use import InUse
 from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
@@ -76,13 +78,16 @@ def contact_acceleration(
 
     def solved(*at):
         problem, found = solved_at(*at)
-        return results(problem, found), [factorize_at(problem, found).solve]
+        # a derivative that saves these values does not solve the problem again
+        factors = factorize_at(problem, found)
+        values = tuple(checkpoint_name(x, "acceleration") for x in results(problem, found))
+        return values, [factors.solve], problem.in_use
 
-    def residual(changed, q, v, tau, a):
+    def residual(changed, q, v, tau, a, used):
         model, f_ext, *rest = rebuilt(changed)
         assembly = Assembly(model, q, v, *rest)
         problem = assembly.problem(tau, f_ext)
-        pushes = pack(problem.constraint_forces(a), tau)
+        pushes = pack(problem.constraint_forces(a, used), tau)
         return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
@@ -118,7 +123,7 @@ def solution_at(
     """Solve the contact problem at a state under applied forces.
 
     The values share one narrow phase. The derivatives of the acceleration are implicit. Those of
-    the forces follow from it through all candidates.
+    the forces follow from it through the contacts in use.
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t))
     names: list[tuple] = []  # of the rows, which are known after tracing
@@ -132,13 +137,18 @@ def solution_at(
         contacts = rows_of_slots(problem, found, assembly.origin)
         return SolutionArrays.of(problem, contacts, *_with_report(found))
 
+    def in_use(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> list[InUse]:
+        model, f_ext, dt, t = rebuilt(changed)
+        return Assembly(model, q, v, dt, t).problem(tau, f_ext).detect(gap=True).in_use
+
     def differentiable(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> SolutionArrays:
+        used = in_use(*jax.lax.stop_gradient((changed, q, v, tau)))
         model, f_ext, dt, t = rebuilt(changed)
         a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
         assembly = Assembly(model, q, v, dt, t)
         problem = assembly.problem(tau, f_ext)
         names[:] = geoms_of_rows(model, problem.sets), sources_of_rows(problem)
-        contacts = rows_of_candidates(problem, a, assembly.origin)
+        contacts = rows_in_use(problem, used, a, assembly.origin)
         return SolutionArrays.of(problem, contacts, a, *report)
 
     found = with_rule_of(plain, differentiable)(given, q, v, tau)

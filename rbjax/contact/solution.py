@@ -123,8 +123,8 @@ class SolutionArrays(NamedTuple):
 
 
 def with_rule_of(plain: Callable, differentiable: Callable) -> Callable:
-    """Return the function `plain`, with the derivatives of `differentiable`, which is as exact and
-    runs through all candidates."""
+    """Return the function `plain`, with the derivatives of `differentiable`, which has the
+    same values."""
 
     def rule(primals: tuple, tangents: tuple) -> tuple:
         value, rate = jvp_of(differentiable, primals, tangents)

@@ -10,19 +10,17 @@ of the mass matrix, which `forward_dynamics` names. The vjp computes all other v
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program, traced
-from rbjax.dynamics.algorithms.aba import LEFT
+from rbjax.compiler.jax.saved import SavedVjp
 
 Arrays = tuple[jax.Array, ...]
 
@@ -81,11 +79,11 @@ class CheckpointedRollout:
             first_residual=0 if every else self.size,
         )
 
-    def step_vjp(self, moving: Sequence[bool]) -> StepVjp:
+    def step_vjp(self, moving: Sequence[bool]) -> SavedVjp:
         """Return the vjp of the step by the differentiated (`moving`) arguments of the rollout."""
         first = self.size + self.driven
         own = (False, *[True] * self.size, *moving[self.size : first], *moving[first:])
-        return StepVjp.of(self.step, own)
+        return SavedVjp.of(self.step, own)
 
     def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
         state, rest = tuple(args[: self.size]), args[self.size :]
@@ -100,7 +98,7 @@ class CheckpointedRollout:
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
     def _forward(
-        self, args: Sequence[Any], step_vjp: StepVjp | None = None
+        self, args: Sequence[Any], step_vjp: SavedVjp | None = None
     ) -> tuple[list, list, list]:
         """Run all steps; return saved states, checkpoints, and the residuals for `step_vjp`."""
         state, controls, others = self._parts(args)
@@ -126,7 +124,7 @@ class CheckpointedRollout:
             [x.reshape(self.steps, -1) for x in left],
         )
 
-    def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: StepVjp | None) -> Any:
+    def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: SavedVjp | None) -> Any:
         """Advance (step index, state) by a step with control u. Also return the residuals for
         `step_vjp`."""
         i, state = carry
@@ -217,116 +215,3 @@ def checkpoint_interval(save_every: int, steps: int, bytes_each: int, budget: fl
         if save_every % k == 0 and math.ceil(steps / k) * bytes_each <= budget:
             return k
     return save_every
-
-
-class StepVjp:
-    """The vjp of a step by some of its arguments, from saved residuals.
-
-    forward: program from the arguments to the results and the vector of residuals.
-    """
-
-    def __init__(self, forward: Program, back: Callable):
-        """back: function (args, residuals, cotangents of the results) -> cotangents of the
-        arguments."""
-        self.forward, self._back = forward, back
-
-    @classmethod
-    def of(cls, step: Program, moving: tuple[bool, ...]) -> StepVjp:
-        """Build the vjp of a step, or return the cached one."""
-        key = "step_vjp", moving
-        vjps = (f(step, moving) for f in (_vjp_of_equations, _vjp_of_checkpoint))
-        return step.memoize(key, lambda: cls(*next(x for x in vjps if x is not None)))
-
-    @property
-    def residuals(self) -> Any:
-        """The abstract value of the vector of residuals."""
-        return self.forward.outputs[-1]
-
-    @property
-    def bytes(self) -> int:
-        return self.residuals.size * self.residuals.dtype.itemsize
-
-    def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
-        """Compute the cotangents of the arguments from the residuals `left` and the cotangents
-        `bars` of the results."""
-        return self._back(args, left, bars)
-
-
-def _vjp_of_equations(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callable] | None:
-    """Build the vjp of a step without loops. Its residuals are the values marked by
-    `checkpoint_name`. Return None if the step cannot be transposed as equations."""
-    back = step.transposed_equations(moving, (True,) * len(step.outputs))
-    if back is None:
-        return None
-    named = [
-        eqn.outvars[0] for eqn in back.forward
-        if eqn.primitive.name == "name" and eqn.params["name"] in LEFT
-    ]  # fmt: skip
-    whole = back.closed(given=named)
-    read = {a for eqn in whole.jaxpr.eqns for a in eqn.invars if isinstance(a, Var)}
-    left = [v for v in named if v in read]
-    shapes: list[Any] = [v.aval for v in left]
-    rest, n = Program(back.closed(given=left)), len(step.outputs)
-    values = Program(back.values(left))
-
-    def forward(*args: Any) -> list[Any]:
-        found = run(values, args)
-        return [*found[:n], _vector(found[n:], step.outputs[0].dtype)]
-
-    def backward(args: Sequence[Any], vector: jax.Array, bars: Sequence[Any]) -> list[Any]:
-        parts, start = [], 0
-        for a in shapes:
-            parts.append(vector[start : start + a.size].reshape(a.shape))
-            start += a.size
-        return run(rest, [*args, *parts, *bars])
-
-    return traced(forward, *step.inputs), backward
-
-
-def _vector(parts: Sequence[jax.Array], dtype: Any) -> jax.Array:
-    return jnp.concatenate([jnp.zeros(0, dtype), *(x.ravel() for x in parts)])
-
-
-def _vjp_of_checkpoint(step: Program, moving: Sequence[bool]) -> tuple[Program, Callable]:
-    """Build the vjp of any step by `jax.checkpoint`, which saves the values marked by
-    `checkpoint_name`."""
-    trees: list[Any] = []
-
-    def linearised(*args: Any) -> list[Any]:
-        def along(*changed: Any) -> list[Any]:
-            rest = iter(changed)
-            return step(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
-
-        keep = jax.checkpoint_policies.save_only_these_names(*LEFT)
-        along = jax.checkpoint(along, prevent_cse=False, policy=keep)
-        new, pullback = jax.vjp(along, *itertools.compress(args, moving))
-        leaves, tree = jax.tree.flatten(pullback)
-        trees.append(tree)
-        return [*new, *leaves]
-
-    closed = jax.make_jaxpr(linearised)(*step.inputs)
-    n, jaxpr = len(step.outputs), closed.jaxpr
-    places: dict[Any, tuple[str, Any]] = {v: ("argument", k) for k, v in enumerate(jaxpr.invars)}
-    places |= {v: ("constant", x) for v, x in zip(jaxpr.constvars, closed.consts, strict=True)}
-    sources: list[tuple[str, Any]] = [
-        ("constant", v.val) if isinstance(v, Literal) else places.get(v, ("left", v.aval))
-        for v in jaxpr.outvars[n:]
-    ]
-    held = [kind == "left" for kind, _ in sources]
-
-    def forward(*args: Any) -> list[Any]:
-        found = jaxpr_as_fun(closed)(*args)
-        left = list(itertools.compress(found[n:], held))
-        return [*found[:n], _vector(left, step.outputs[0].dtype)]
-
-    def backward(args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
-        leaves, start = [], 0
-        for kind, source in sources:
-            if kind == "left":
-                leaves.append(left[start : start + source.size].reshape(source.shape))
-                start += source.size
-            else:
-                leaves.append(args[source] if kind == "argument" else source)
-        return list(jax.tree.unflatten(trees[0], leaves)(list(bars)))
-
-    return traced(forward, *step.inputs), backward

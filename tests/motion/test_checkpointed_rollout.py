@@ -14,10 +14,11 @@ from jax.extend.core import jaxpr_as_fun
 import rbjax as rb
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import traced
+from rbjax.compiler.jax.saved import SavedVjp
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.checkpointed_rollout import CheckpointedRollout, StepVjp, checkpoint_interval
+from rbjax.motion.checkpointed_rollout import CheckpointedRollout, checkpoint_interval
 from rbjax.motion.field import Field
 from rbjax.motion.integrators import semi_implicit_euler
 from tests.compiler.host import COMPILER, many_on_host
@@ -158,8 +159,8 @@ def test_a_step_leaves_what_is_named():
         return jax.tree.leaves(semi_implicit_euler(field, 0.0, State(q, v), Inputs(), 0.01))
 
     step = traced(step_of, *one)
-    pull = StepVjp.of(step, (True, True))
-    assert pull is StepVjp.of(step, (True, True))
+    pull = SavedVjp.of(step, (True, True))
+    assert pull is SavedVjp.of(step, (True, True))
     assert 14 < pull.residuals.size <= 7 + 7 * 7 and pull.bytes == 8 * pull.residuals.size
     q, v, bars = Q[0, [0] * 7], V[0, [1] * 7], [jnp.arange(7.0), jnp.ones(7)]
     *new, left = pull.forward(q, v)

@@ -169,10 +169,3 @@ def test_no_state_is_a_sentence() -> None:
     none = State(jnp.zeros((0, 3)), jnp.zeros((0, 3)))
     with pytest.raises(rb.InputError, match="a batch of no states"):
         rb.rollout(model, none, jnp.zeros(1), steps=3)
-
-
-def test_an_integrator_that_is_not_supported_is_a_sentence() -> None:
-    model = rb.load(hopper("discrete"), contacts=True)
-    with pytest.raises(rb.InputError, match="'discrete', expected one of"):
-        rb.step(model, START, jnp.zeros(1))
-    assert rb.step(model, START, jnp.zeros(1), integrator="implicitfast").q.shape == (3,)

@@ -72,6 +72,12 @@ class Contact(NamedTuple):
     exists: Lane
     tangent: Vec3 | None = None
 
+    @property
+    def lanes(self) -> list[Lane]:
+        """Distance, position, normal and tangent, zero for none: 10 lanes."""
+        tangent = Vec3.zero() if self.tangent is None else self.tangent
+        return [self.distance, *self.position, *self.normal, *tangent]
+
 
 def contact_frame(normal: Vec3, tangent: Vec3 | None = None) -> tuple[Vec3, Vec3, Vec3]:
     """Return the axes of a contact frame: the normal and two tangents.

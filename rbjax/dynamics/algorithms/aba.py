@@ -140,17 +140,32 @@ def aba(
     return qdd, factors
 
 
-def factorize(d: Driver, joints: Any, extra: Any = None, inertia: Any = None) -> Any:
+def transforms(d: Driver, joints: Any) -> Any:
+    """Compute the pose of each link in its parent."""
+
+    def outward(x, nothing):
+        link, joint = x
+        return nothing, joint.transform(link)
+
+    return d.outward(outward, (), d.zip(d.constants, joints))
+
+
+def factorize(
+    d: Driver, joints: Any, extra: Any = None, inertia: Any = None, poses: Any = None
+) -> Any:
     """Factorize the mass matrix, with optional terms in addition, by the inward sweep of ABA.
 
     extra: lane to add to the diagonal, per link; None for zero.
     inertia: `ArticulatedInertia` to add to each link, in its axes, per link; None for zero.
+
+    poses: `transforms` of the links. A derivative that saves U and 1 / D then computes the other
+        parts of the factors without them.
     """
 
     def inward(x, I_children):
-        link, joint, more, own = x
+        link, joint, more, own, *known = x
         link = replace(link, armature=add(link.armature, more))
-        X = joint.transform(link)
+        X = known[0] if known else joint.transform(link)
         others = I_children + own
         I_a, factor = eliminate(link, joint, X, joint.inertia(link).articulated() + others)
         return to_parent(X, I_a, factor, rigid_mass(link, joint, others)), factor
@@ -158,7 +173,8 @@ def factorize(d: Driver, joints: Any, extra: Any = None, inertia: Any = None) ->
     zero = ArticulatedInertia.zero()
     extra = d.scattered({}, 0.0) if extra is None else extra
     inertia = d.scattered({}, zero) if inertia is None else inertia
-    return d.inward(inward, zero, d.zip(d.constants, joints, extra, inertia))
+    known = () if poses is None else (poses,)
+    return d.inward(inward, zero, d.zip(d.constants, joints, extra, inertia, *known))
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
@@ -202,22 +218,17 @@ def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
     return d.outward(outward, Motion.zero(), left)
 
 
-#: the names of values that a derivative may store instead of recomputing them
-LEFT = ("acceleration", "factors")
+def named(factors: Any) -> Any:
+    """Name the factors, for policies of `jax.checkpoint` (`rbjax.compiler.jax.saved`)."""
 
-
-def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
-    """Give acceleration and factors the names in `LEFT`, for policies of `jax.checkpoint`."""
-
-    def named(f: Factor) -> Factor:
+    def one(f: Factor) -> Factor:
         U, inverse_D = jax.tree.map(
             lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x,
             (f.U, f.inverse_D),
         )
         return f._replace(U=U, inverse_D=inverse_D)
 
-    named_factors = jax.tree.map(named, factors, is_leaf=lambda x: isinstance(x, Factor))
-    return checkpoint_name(a, "acceleration"), named_factors
+    return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, Factor))
 
 
 def acceleration(
@@ -245,7 +256,7 @@ def acceleration(
         model, f_ext = rebuilt(changed)
         d = driver(model, q.dtype)
         qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
-        a, factors = _left(d.pack(qdd, tau), factors)
+        a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
         return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
 
     def residual(changed, q, v, tau, a):

@@ -8,7 +8,7 @@ constants.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -68,7 +68,8 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
         plain: a function of *at that returns `batch_first(solutions, at)`. It gives the values.
             Further values may follow the solutions; their derivatives are zero.
         solved: a function of *at that returns the solutions and a function solve_k for each,
-            -(d residual_k / dx_k)^-1. It is used for derivatives.
+            -(d residual_k / dx_k)^-1. It is used for derivatives. Further results are passed on to
+            the residuals and held constant, for example which contacts touch.
         residuals: the functions residual_k.
 
     The arguments of the result must be `jax_arrays`. Derivatives of higher order use only the
@@ -76,11 +77,11 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
     """
 
     def tangent(primals: tuple, tangents: tuple) -> tuple:
-        xs, solves = solved(*primals)
+        xs, solves, *held = solved(*primals)
         xs, rates = found(*jax_arrays(*primals, xs)), list[Any]()
         for k, (residual, solve) in enumerate(zip(residuals, solves, strict=True)):
             at, moving = (*primals, *xs[:k]), (*tangents, *rates)
-            _, change = jvp_of(functools.partial(_held, residual, xs[k]), at, moving)
+            _, change = jvp_of(functools.partial(_held, residual, (xs[k], *held)), at, moving)
             rates.append(jnp.zeros_like(xs[k]) if change is None else solve(change))
         rates += [jnp.zeros_like(x) for x in xs[len(rates) :]]
         return xs, tuple(rates)
@@ -93,8 +94,8 @@ def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -
     return _custom_jvp(plain, tangent)
 
 
-def _held(residual: Callable, x: Any, *at: Any) -> Any:
-    return residual(*at, x)
+def _held(residual: Callable, held: Sequence[Any], *at: Any) -> Any:
+    return residual(*at, *held)
 
 
 def jax_arrays(*args: Any) -> Any:

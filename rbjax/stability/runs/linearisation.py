@@ -266,4 +266,9 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps, "
         + (f"and a residual of constraints of {np.abs(off).max():.1e}, " if off.size else "")
         + "expected none; start closer to an equilibrium, if there is one"
+        + (
+            "; for a robot in contact, start from the end of a rollout in which it settles"
+            if model.contact is not None
+            else ""
+        )
     )
