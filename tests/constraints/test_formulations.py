@@ -176,7 +176,7 @@ def test_derivatives_at_equal_singular_values() -> None:
         return jax.jacfwd(jax.jacrev(g))(0.0), jax.jacrev(g)(0.0)
 
     def others(which):
-        return twice(lambda x: Chosen(which).solved(M, G + x * turn, f, c)[0])
+        return twice(lambda x: Chosen(which).scaled_solution(M, G + x * turn, f, c)[0])
 
     want, each = twice(formula), jax.jit(others)
     for k, name in enumerate(DENSE):
@@ -188,7 +188,7 @@ def test_derivatives_at_equal_singular_values() -> None:
 def test_udwadia_kalaba_with_redundant_rows(name: str) -> None:
     law = LAWS["udwadia_kalaba_redundant"]
     M, G, c, free = (jnp.array(law[x], float) for x in ("M_diag", "A", "b", "a_unconstrained"))
-    a, l = DENSE[name].method.solved(jnp.diag(M), G, M * free, c)
+    a, l = DENSE[name].method.scaled_solution(jnp.diag(M), G, M * free, c)
     np.testing.assert_allclose(a, law["a"], rtol=0, atol=1e-13)
     np.testing.assert_allclose(M * a, M * free + G.T @ l, rtol=0, atol=1e-12)
 
@@ -199,7 +199,7 @@ def test_rows_that_are_zero_but_for_rounding() -> None:
     f, c = jnp.array([0.2, -0.1, 0.4]), jnp.array([1.0, 3e-16, 2e-4])
     A = G[jnp.array([0, 2])]
     want = f + A.T @ jnp.linalg.solve(A @ A.T, c[jnp.array([0, 2])] - A @ f)
-    found = {name: one.method.solved(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
+    found = {name: one.method.scaled_solution(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
     found["multipliers"] = f + G.T @ solve_least_norm(G @ G.T, c - G @ f)
     for name, a in found.items():
         np.testing.assert_allclose(a, want, rtol=0, atol=1e-10, err_msg=name)

@@ -87,7 +87,7 @@ def test_derivative_where_the_residual_is_zero(power: float) -> None:
 
     def R(g, power):
         soft = rc.Soft(rod, [0.02, 1.0], jnp.array([0.5, 0.9, 0.1, 0.5, power]), [1.0])
-        return soft.soft_terms([rc.Row(g, g, rb.forces.Loads(), 0.0)], float)[0][0]
+        return soft.soft_terms([rc.Row(g, g, rb.forces.Loads(), 0.0)], jnp.ones(1), float)[0][0]
 
     value, (slope, of_power) = jax.value_and_grad(R, (0, 1))(0.0, power)
     assert (value, slope, of_power) == (1.0, 0.0, 0.0)

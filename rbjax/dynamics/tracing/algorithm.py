@@ -17,6 +17,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.compiler.jax.function import trace
@@ -119,14 +120,15 @@ def algorithm(
                 check_takes(name, n, bound.arguments[n], "t", "state")
             if is_traced((bound.args, bound.kwargs)) and inside_jit():
                 return inlined(*bound.args, **bound.kwargs)
-            static_functions = {
-                n: x for n in (*static, *asked) if callable(x := bound.arguments.get(n))
-            }
+            arguments = {n: bound.arguments.get(n) for n in (*static, *asked)}
+            with_arrays = any(map(_has_arrays, arguments.values()))  # as laws with arrays: no hash
+            static_functions = {n: x for n, x in arguments.items() if callable(x) or _has_arrays(x)}
             if not static_functions:
                 return program()(*bound.args, **bound.kwargs)
             for n in static_functions:
                 del bound.arguments[n]
-            return program_with(**static_functions)()(*bound.args, **bound.kwargs)
+            of = program_with.__wrapped__ if with_arrays else program_with
+            return of(**static_functions)()(*bound.args, **bound.kwargs)
 
         return call
 
@@ -168,3 +170,7 @@ def with_compiled_constants(model: Model, dtype: Any) -> Model:
     made = iter(run(program, operands) if operands else ())
     known = [next(made) if isinstance(x, jax.core.Tracer) else x for x in leaves]
     return model.replace(constants=jax.tree.unflatten(tree, known))
+
+
+def _has_arrays(x: Any) -> bool:
+    return any(isinstance(leaf, jax.Array | np.ndarray) for leaf in jax.tree.leaves(x))
