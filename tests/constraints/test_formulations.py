@@ -199,7 +199,8 @@ def test_rows_that_are_zero_but_for_rounding() -> None:
     f, c = jnp.array([0.2, -0.1, 0.4]), jnp.array([1.0, 3e-16, 2e-4])
     A = G[jnp.array([0, 2])]
     want = f + A.T @ jnp.linalg.solve(A @ A.T, c[jnp.array([0, 2])] - A @ f)
-    found = {name: one.method.scaled_solution(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
+    M = jnp.eye(3)
+    found = {name: one.method.scaled_solution(M, G, f, c)[0] for name, one in DENSE.items()}
     found["multipliers"] = f + G.T @ solve_least_norm(G @ G.T, c - G @ f)
     for name, a in found.items():
         np.testing.assert_allclose(a, want, rtol=0, atol=1e-10, err_msg=name)
