@@ -314,10 +314,10 @@ class Found(NamedTuple):
         candidates: (n,) the candidate of each contact.
     """
 
-    length: jax.Array
+    length: Lane
     contacts: jax.Array
-    pairs: jax.Array
-    candidates: jax.Array
+    pairs: Any  # a NumPy array if it is constant while tracing
+    candidates: Any  # likewise
 
     def contact(self, k: Any) -> Contact:
         """Return contact k."""

@@ -191,7 +191,7 @@ class CoulombContact:
         def plain(*at: Any) -> Any:
             return batch_first(results(*solved_at(*at)), at)
 
-        def solved(*at: Any) -> tuple[Any, Any]:
+        def solved(*at: Any) -> tuple[Any, ...]:
             problem, found = solved_at(*at)
             change = _linear_solver(problem, found.solution)
             return results(problem, found), [change, lambda b: b], problem.in_use

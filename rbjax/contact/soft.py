@@ -64,7 +64,7 @@ def contact_acceleration(
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t, added))
 
-    def solved_at(changed, q, v, tau, values=False) -> tuple[Problem, Solution]:
+    def solved_at(changed, q, v, tau, *, values=False) -> tuple[Problem, Solution]:
         model, f_ext, *rest = rebuilt(changed)
         problem = detected(model, q, v, tau, f_ext, *rest, values=values)
         return problem, solve(problem, iterations=iterations)
@@ -226,13 +226,14 @@ class SoftContact:
 
         tau: generalized forces with -h K v. added: h D + h^2 K by entry.
         """
-        _, q, v, tau, *rest, _, t = self._arguments(model, t, state, tau, f_ext)
+        *_, t = self._arguments(model, t, state, tau, f_ext)
 
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
-            a, _, *others = contact_acceleration(model, q, v, tau, *rest, dt, t, added)
+            given = model, q, v, tau, f_ext, self.iterations, dt, t, added
+            a, _, *others = contact_acceleration(*given)
             return [a, *others]
 
-        return threads(solved)(q, v, tau)
+        return threads(solved)(state.q, state.v, tau)
 
     def solve(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces | None,
@@ -242,8 +243,9 @@ class SoftContact:
 
         dt: step in s, if the law has none of its own; None for the model's timestep.
         """
-        *given, own, t = self._arguments(model, t, state, tau, f_ext)
-        return solution_at(*given, dt if own is None else own, t)
+        *_, own, t = self._arguments(model, t, state, tau, f_ext)
+        dt = dt if own is None else own
+        return solution_at(model, state.q, state.v, tau, f_ext, self.iterations, dt, t)
 
     def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
         t = t if model.constraints else 0.0  # only constraints depend on time

@@ -116,11 +116,10 @@ def controls(model: Model, show: Show) -> Callable[[jax.Array, State], jax.Array
     if show.angles is None:
         return lambda t, state: constant
     (stiffness, damping), gear = show.gains, model.actuators.gear[:, 0]
-    held = show.angles if callable(show.angles) else None
-    angles = None if held else model.keyframe(str(show.angles)).q[7:]
+    angles = model.keyframe(show.angles).q[7:] if isinstance(show.angles, str) else show.angles
 
     def hold(t: jax.Array, state: State) -> jax.Array:
-        due = held(t) if held else angles
+        due = angles(t) if callable(angles) else angles
         return (stiffness * (due - state.q[7:]) - damping * state.v[6:]) / gear
 
     return hold

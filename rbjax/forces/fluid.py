@@ -292,7 +292,7 @@ class EllipsoidFluid(Element):
 
     def dissipative_slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of the drag, without lift and added mass."""
-        lift = {"kutta": 0.0, "magnus": 0.0, "mass": Vec3.zero(), "inertia": Vec3.zero()}
+        lift = dict[str, Any](kutta=0.0, magnus=0.0, mass=Vec3.zero(), inertia=Vec3.zero())
         return self._slopes(context, self._ellipsoids(context)._replace(**lift))
 
     def _slopes(self, context: Context, own: _Ellipsoid) -> list[Slope]:

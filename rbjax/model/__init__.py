@@ -16,9 +16,9 @@ from rbjax.model.model import (
     Keyframes,
     Model,
     Sites,
-    State,
 )
 from rbjax.model.solver_parameters import SolverParameters
+from rbjax.model.state import State
 from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans
 
 __all__ = [

@@ -83,11 +83,11 @@ def runge_kutta(
     if written is None:
         written = table.stages * field.model.nv <= WRITTEN_UP_TO
     stages = explicit_stages(rate, table, t, dt, written=written)
-    has_error = report is not None and reports(field.dynamics)
-    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0, report[0] if has_error else None))
+    like_error = report[0] if report is not None and reports(field.dynamics) else None
+    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0, like_error))
     ks = stages(start)
     dq, dv, *dx = scale(dt, combine(table.b, [k[:parts] for k in ks]))
-    error = functools.reduce(jnp.maximum, [k[-1] for k in ks]) if has_error else None
+    error = None if like_error is None else functools.reduce(jnp.maximum, [k[-1] for k in ks])
     after = stage_state(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
     return State(after.q, after.v, after.x, *field.kept(state, error))
 

@@ -27,7 +27,7 @@ class ReportsSolver(Protocol):
         ...
 
 
-def reports(dynamics: Any) -> TypeGuard[ReportsSolver]:
+def reports(dynamics: Any) -> TypeGuard[Any]:
     """Check whether a dynamics reports the errors of its solver."""
     return isinstance(dynamics, ReportsSolver)
 

@@ -146,7 +146,8 @@ def step(
     contacts = contact is not None or dynamics is not free_motion or getattr(model, "contact", None)
     watched = contacts and not inside_jit() and isinstance(state, State) and state.report is None
     if watched:
-        state = State(state.q, state.v, state.x, state.memory, np.zeros(2))
+        report: Any = np.zeros(2)  # a compiled function accepts it faster than a JAX array
+        state = State(state.q, state.v, state.x, state.memory, report)
     after = _step(
         model, state, given.ctrl, dt, given.tau, given.wrenches, t=t, integrator=integrator,
         dynamics=dynamics, constraints=constraints, contact=contact,

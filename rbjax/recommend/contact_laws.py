@@ -217,7 +217,7 @@ class _Runs:
         if name != COMPLIANT:
             law = self.law(name)
             return lambda: self._rolled(law, self.dt, 1)
-        model, ts = self.compliant(), self.dt * np.arange(self.steps + 1)
+        model, ts = self.compliant(), jnp.asarray(self.dt * np.arange(self.steps + 1))
         ctrl = self.ctrl
         if ctrl is not None and not callable(ctrl) and jnp.ndim(ctrl) == 1:
             ctrl = jnp.asarray(ctrl)

@@ -58,8 +58,8 @@ def _weights(model: Model, soft: Soft) -> Any:
         return _sum(tendon_weights(model, every=True), ends)
     if soft.at is None and isinstance(one, Pair):
         body, _ = weights_with_tendons(model)
-        ends = [_body(model, x) for x in (one.a, one.b)]
-        both = body[np.array([x for x in ends if x is not None], int)].sum(0)
+        bodies = [_body(model, x) for x in (one.a, one.b)]
+        both = body[np.array([x for x in bodies if x is not None], int)].sum(0)
         return both[np.array([0] * 3 + [1] * (one.size - 3))[: one.size]]
     model = without_constants(model)
     if is_traced((model, soft)):
@@ -75,7 +75,7 @@ def _sum(x: Any, index: list[int]) -> Any:
 def _body(model: Model, place: Place) -> int | None:
     """Return the body of a place; None for the world."""
     if place.site is not None:
-        found = model.topology.site_bodies[model.site(place.site)]
+        found: int | None = model.topology.site_bodies[model.site(place.site)]
     else:
         found = None if place.body is None else model.body(place.body)
     return found if found is not None and found >= 0 else None

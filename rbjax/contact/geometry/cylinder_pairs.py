@@ -209,7 +209,7 @@ def _intersection(
     polygon = jnp.concatenate([cut.corners, jnp.zeros((VERTICES - 4, 3), p.dtype)])
     count = jnp.int32(4)
 
-    def halved(k: Lane, cut: tuple) -> tuple:
+    def halved(k: Lane, cut: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         length = jnp.sqrt((inward[k] ** 2).sum() + TINY)
         inside = ((cut[0][:, :2] - points[k, :2]) * inward[k]).sum(-1) / length
         polygon, count = clip_polygon(*cut, inside + least)

@@ -121,8 +121,9 @@ class MoreauContact(Record):
         """
         at = "MoreauContact.of"
         check_model(at, model)
-        rows = pairs is None and model.geoms is not None and count_joint_rows(model)
-        chosen = () if rows and not model.geoms.pairs else check_pairs(at, model, pairs)
+        unpaired = pairs is None and model.geoms is not None and not model.geoms.pairs
+        rows_only = unpaired and count_joint_rows(model)
+        chosen = () if rows_only else check_pairs(at, model, pairs)
         integer(at, "sweeps", sweeps, least=1)
         dtype = model.gravity.dtype
         e, mu = check_coefficients(at, model, chosen, restitution, friction, dtype)
@@ -190,13 +191,15 @@ class MoreauContact(Record):
             equality = total - contact - limit - friction
         exists = step.problem.active[:n]
         force = jnp.concatenate([f[:n], jnp.zeros_like(f[:n])], -1)
-        here = [jnp.where(exists.reshape(-1, *(1,) * (x.ndim - 1)), x, 0.0)
-                for x in (contacts.position, contacts.frame, force)]  # fmt: skip
+        position, frame, force = (
+            jnp.where(exists.reshape(-1, *(1,) * (x.ndim - 1)), x, 0.0)
+            for x in (contacts.position, contacts.frame, force)
+        )
         distance = jnp.where(exists, contacts.distance, jnp.inf)
         rubs = np.array(kinds[n:] == FRICTION, bool)
         return ContactSolution(
             acceleration=a,
-            contacts=ContactForces(exists, distance, *here, contacts.geoms),
+            contacts=ContactForces(exists, distance, position, frame, force, contacts.geoms),
             contact=contact,
             limit=limit,
             friction=friction,

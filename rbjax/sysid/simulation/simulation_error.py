@@ -234,7 +234,7 @@ class SimulationError:
         """
         if self._last is None or not np.array_equal(self._last[0], x):
             if self.difference_step is None:
-                found = self.programs.slopes(self.by_run(x), self.runs)
+                found: Any = self.programs.slopes(self.by_run(x), self.runs)
             else:
                 found = self._differences(x, self.difference_step)
             self._last = np.array(x), jax.tree.map(np.asarray, found)
