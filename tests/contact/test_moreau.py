@@ -201,3 +201,13 @@ def test_a_model_without_rows_is_named():
     model = rb.load(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     with pytest.raises(rb.InputError, match="no two geoms"):
         rb.contact.MoreauContact.of(model)
+
+
+def test_friction_that_is_left_out_is_named():
+    text = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+      <body pos="0 0 0.1"><freejoint/><geom name="ball" size="0.1" condim="6"/></body>
+    </worldbody></mujoco>"""
+    model = rb.load(text)
+    with pytest.warns(UserWarning, match="floor and ball have torsional"):
+        rb.contact.MoreauContact.of(model)
+    rb.contact.MoreauContact.of(model, friction=0.5)

@@ -13,6 +13,7 @@ Source: Brogliato, *Nonsmooth Mechanics*, ch. 4 and 6; Glocker, *Set-Valued Forc
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, NamedTuple
 
 import jax
@@ -28,8 +29,9 @@ from rbjax.contact.impacts.point_velocity import (
     contact_jacobian,
     file_friction,
 )
+from rbjax.contact.parameters import pair_parameters
 from rbjax.dynamics.arguments import check_arrays
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError, UnknownName, listed
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec
 from rbjax.model import Model, State
 
@@ -140,6 +142,7 @@ def check_coefficients(
     or not a number; friction may be infinite."""
     if friction is None:
         friction = file_friction(model, pairs, dtype)
+        _warn_of_rolling_friction(where, model, pairs)
     out = []
     for name, x in (("restitution", restitution), ("friction", friction)):
         found = coefficients(where, name, x, model, pairs, dtype)
@@ -152,6 +155,24 @@ def check_coefficients(
                 )
         out.append(found)
     return out[0], out[1]
+
+
+def _warn_of_rolling_friction(where: str, model: Model, pairs: Pairs) -> None:
+    """Warn of pairs whose torsional or rolling friction is left out."""
+    geoms: Any = model.geoms
+    condim = pair_parameters(geoms, pairs).condim
+    names = [
+        " and ".join(geoms.names[i] for i in pair)
+        for pair, dim in zip(pairs, condim, strict=True)
+        if dim > 3
+    ]
+    if names:
+        warnings.warn(
+            f"{where}: impulses have only sliding friction, and {listed(names, 3)} have torsional "
+            'or rolling friction too (condim 4 or 6), which is left out; contact="mujoco" and '
+            '"coulomb" take it, and friction= (of sliding) silences this warning',
+            stacklevel=4,
+        )
 
 
 def _impulse(
