@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.problem import Problem
-from rbjax.lanes import Lane, mul, pack, total, unpack
+from rbjax.lanes import Lane, inner, mul, pack, total, unpack
 
 #: bytes of a number -> the norm of the residual at which the iteration ends, relative to b
 RESIDUAL = {4: 1e-6, 8: 1e-13}
@@ -64,19 +64,20 @@ def solve_direction(
     if not any(contacts.coupled for contacts in problem.sets):
         x, twists = tree.step(factors, b, dtype)
         return Direction(x, b, twists)
-    bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2 * _square(tree.weights, b)
+    bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2 * weighted_square(tree.weights, unpack(b))
 
     def unfinished(at: _Iterate) -> jax.Array:
-        return (_square(tree.weights, at.residual) > bound) & (at.iterations < ITERATIONS)
+        size = weighted_square(tree.weights, unpack(at.residual))
+        return (size > bound) & (at.iterations < ITERATIONS)
 
     def step(at: _Iterate) -> _Iterate:
         z, twists = tree.step(factors, at.residual, dtype)
-        size = _dot(z, at.residual)
+        size = inner(unpack(z), unpack(at.residual))
         share = jnp.where(at.iterations > 0, size / at.size, 0.0)
         p, product = z + share * at.p, at.residual + share * at.product
         moving = twists + share * at.moving
         Hp = product + coupling(problem, moving, residuals)
-        alpha = size / _dot(p, Hp)
+        alpha = size / inner(unpack(p), unpack(Hp))
         x, sums = at.x + alpha * p, at.twists + alpha * moving
         left = at.residual - alpha * Hp
         return _Iterate(x, sums, left, p, product, moving, size, at.iterations + 1)
@@ -114,10 +115,6 @@ def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:
     return [total(mul(H[max(i, j)][min(i, j)], s[j]) for j in n) for i in n]
 
 
-def _square(weights: Sequence[Lane], x: jax.Array) -> Lane:
-    """Compute the weighted square sum of w_i x_i^2."""
-    return total(mul(w, mul(y, y)) for w, y in zip(weights, unpack(x), strict=True))
-
-
-def _dot(x: jax.Array, y: jax.Array) -> Lane:
-    return total(mul(a, b) for a, b in zip(unpack(x), unpack(y), strict=True))
+def weighted_square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
+    """Compute the sum of w_i x_i^2."""
+    return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))

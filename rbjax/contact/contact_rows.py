@@ -317,7 +317,7 @@ class Found(NamedTuple):
     length: Lane
     contacts: jax.Array
     pairs: Any  # a NumPy array if it is constant while tracing
-    candidates: Any  # likewise
+    candidates: Any  # a NumPy array if it is constant while tracing
 
     def contact(self, k: Any) -> Contact:
         """Return contact k."""

@@ -1,7 +1,7 @@
 """Forces of the contacts in use as differentiable functions of the state and the parameters.
 
 The narrow phase tells which candidates are in use (`InUse`). Their places, rows and forces are
-computed anew by loops over them, which have derivatives in both modes (`Turns`). The features that
+computed again by loops over them, which have derivatives in both modes (`Turns`). The features that
 touch are held constant; points and normals are differentiated.
 """
 
@@ -52,7 +52,7 @@ def wrenches_in_use(
 
     twists: (n + 1, 6) of these links at the accelerations.
     numbers: function that gives `width` numbers of each contact. They are the second result, one
-        row a candidate, zero for those that are not in use.
+        row a candidate, and zeros for a candidate that is not in use.
     """
     places = _places(contacts, world, used)
     by_pair, by_candidate, shared = contacts.tables

@@ -25,16 +25,15 @@ Vandenberghe, *Convex Optimization*, 9.5.)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.conjugate_gradients import products, solve_direction
+from rbjax.contact.conjugate_gradients import products, solve_direction, weighted_square
 from rbjax.contact.problem import Problem, add_row
-from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, total, unpack
+from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, unpack
 
 #: bytes of a number -> the relative gradient at which the iteration ends
 TOLERANCE = {4: 1e-5, 8: 1e-12}
@@ -83,7 +82,8 @@ class _Iterate(NamedTuple):
 
 
 class _Values(NamedTuple):
-    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, and error."""
+    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, size of the
+    forces (see the module), and error."""
 
     gradient: jax.Array
     stiffness: jax.Array
@@ -173,15 +173,12 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
         forces = add_row(forces, row, f)
     g = [sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)]
     weights = tree.weights
-    size = add(_square(weights, problem.rhs), _square([1.0 / w for w in weights], x))
+    size = add(
+        weighted_square(weights, problem.rhs), weighted_square([1.0 / w for w in weights], x)
+    )
     size = jnp.maximum(jnp.asarray(size, dtype), jnp.finfo(dtype).tiny)
-    error = jnp.minimum(jnp.sqrt(_square(weights, g) / size), at.decrement)
+    error = jnp.minimum(jnp.sqrt(weighted_square(weights, g) / size), at.decrement)
     return _Values(pack(g, at.x), stiffness, size, jnp.asarray(error, dtype))
-
-
-def _square(weights: Sequence[Lane], x: Sequence[Lane]) -> Lane:
-    """Compute the weighted square sum of w_i x_i^2."""
-    return total(mul(w, mul(y, y)) for w, y in zip(weights, x, strict=True))
 
 
 def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:

@@ -138,8 +138,8 @@ def end_of_step(
 
 
 def _resolved(k: Lane, b: Lane, d: Lane, solref: Sequence[Lane], dt: Lane) -> tuple[Lane, Lane]:
-    """Return stiffness and damping of a row with a time constant, limited to those that a step
-    resolves."""
+    """Return stiffness and damping of a row with a time constant, not above the largest
+    values that a step resolves."""
     first, second = solref
     excess = mul(mul(mul(dt, dt), k), d)
     stiff = (excess > 1) & ((first > 0) | (second > 0))

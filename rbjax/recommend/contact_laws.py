@@ -129,8 +129,8 @@ def contact_law(
         horizon: duration of the motion, s. Choose the part in which the robot touches.
         dt: the step, s; the model's timestep if None.
         ctrl: controls as for `rb.rollout`; None for no actuation. Lift is not measured with them.
-        restitution: e of the reference and of "impulse"; the other laws have that of their
-            parameters.
+        restitution: e of the reference and of "impulse"; the restitution of the other
+            laws follows from their parameters.
         progress: whether to display the progress on the terminal.
 
     Returns:

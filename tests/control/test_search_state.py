@@ -114,6 +114,22 @@ def test_short_steps_raise_the_regularisation(constrained, a, rises):
     assert found.search.reg == LEAST * (10 if rises else 1)
 
 
+def at_rest(violation, before, penalty, **changes):
+    """Return the decision on a search that no step improves."""
+    number = jnp.asarray
+    rule = StoppingRule(number(1e-9), number(1e-6), number(100), number(1.0))
+    now = initial_search_state(rule, True, number(penalty))._replace(
+        feasible=number(True), reg=number(MOST), violation_before=number(before), **changes
+    )
+    n = len(LENGTHS)
+    values = IterationValues(
+        number(9.0), number(0.0), number(violation), number(-1.0), number(1.0), number(1.0),
+        number(True), jnp.full(n, 9.0), jnp.full(n, violation), None,
+    )  # fmt: skip
+    none = lambda values, lengths: (lengths > 1, number(0.5))  # noqa: E731
+    return decide(none, True, True, now, rule, values)
+
+
 @pytest.mark.parametrize(("violation", "before", "penalty", "status", "after"), [
     (0.2, 1.0, 1e7, GOING, 1e7), (0.5, 1.0, 1e7, GOING, 1e8), (2.0, 1.0, 1e5, GOING, 1e6),
     (2.0, 1.0, 1e6, STUCK, 1e6), (1e-7, 1.0, 1e5, GOING, 1e4), (1e-7, 1.0, 1e3, STUCK, 1e3),
@@ -122,18 +138,7 @@ def test_with_constraints_a_search_at_rest_gets_new_multipliers(
     violation, before, penalty, status, after
 ):
     """They may reduce the violation; if there is none, a smaller penalty has less rounding."""
-    number = jnp.asarray
-    rule = StoppingRule(number(1e-9), number(1e-6), number(100), number(1.0))
-    now = initial_search_state(rule, True, number(penalty))._replace(
-        feasible=number(True), reg=number(MOST), violation_before=number(before), stalled=number(7)
-    )
-    n = len(LENGTHS)
-    values = IterationValues(
-        number(9.0), number(0.0), number(violation), number(-1.0), number(1.0), number(1.0),
-        number(True), jnp.full(n, 9.0), jnp.full(n, violation), None,
-    )  # fmt: skip
-    none = lambda values, lengths: (lengths > 1, number(0.5))  # noqa: E731
-    found = decide(none, True, True, now, rule, values)
+    found = at_rest(violation, before, penalty, stalled=jnp.asarray(7))
     assert (int(found.search.status), float(found.search.penalty)) == (status, after)
     renewed = status == GOING
     assert bool(found.new_multipliers) == renewed
@@ -150,18 +155,7 @@ def test_a_violation_below_rounding_gets_a_harder_penalty(dtype, violation, stat
     """penalty c^2 / 2 is less than the rounding error of the cost, so the merit function cannot
     reduce the violation c."""
     with jax.enable_x64(dtype == "float64"):
-        number = jnp.asarray
-        rule = StoppingRule(number(1e-9), number(1e-6), number(100), number(1.0))
-        now = initial_search_state(rule, True, number(1e6))._replace(
-            feasible=number(True), reg=number(MOST), violation_before=number(violation)
-        )
-        n = len(LENGTHS)
-        values = IterationValues(
-            number(9.0), number(0.0), number(violation), number(-1.0), number(1.0), number(1.0),
-            number(True), jnp.full(n, 9.0), jnp.full(n, violation), None,
-        )  # fmt: skip
-        none = lambda values, lengths: (lengths > 1, number(0.5))  # noqa: E731
-        found = decide(none, True, True, now, rule, values)
+        found = at_rest(violation, violation, 1e6)
         assert (int(found.search.status), float(found.search.penalty)) == (status, after)
 
 

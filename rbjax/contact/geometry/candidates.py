@@ -108,7 +108,7 @@ def _near(kind: PairKind, one: Shape, other: Shape, reach: Lane) -> Lane:
 
 
 def _radius(name: str, kind: PairKind, shape: Shape) -> Lane:
-    """Return the radius of a ball around a shape whose center is that of the shape, m."""
+    """Return the radius, m, of a ball around a shape. Both have the same center."""
     a, b, c = shape.size
     match name:
         case "sphere":
