@@ -138,9 +138,10 @@ def _unset(slots: Any, dim: int) -> jax.Array:
 
 
 def _factors(problem: Problem, at: _Iterate) -> Any:
-    x = unpack(at.x)
-    rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.rows]
-    return problem.tree.factorize(at.stiffness, rows)
+    x, at_limits = unpack(at.x), problem.at_limits.hessian(at.x)
+    rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.loose]
+    limits = {i: at_limits[i] for i in problem.limits.dofs}
+    return problem.tree.factorize(at.stiffness, rows, limits)
 
 
 def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
@@ -164,18 +165,19 @@ def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
 
         wrenches, stiffness = slots.fold(push, (wrenches, stiffness))
     forces, x = tree.generalized(wrenches), unpack(at.x)
-    for row in problem.rows:
+    for row in problem.loose:
         f, _ = row.response(sub(row.along(x), row.reference))
         forces = add_row(forces, row, f)
-    g = [sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)]
+    gradient = pack([sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)], at.x)
+    gradient = problem.at_limits.subtract_forces(at.x, gradient)
     weights = tree.weights
     size = add(
         weighted_square(weights, problem.rhs), weighted_square([1.0 / w for w in weights], x)
     )
     size = jnp.maximum(jnp.asarray(size, dtype), jnp.finfo(dtype).tiny)
-    error = jnp.minimum(jnp.sqrt(weighted_square(weights, g) / size), at.decrement)
+    error = jnp.minimum(jnp.sqrt(weighted_square(weights, unpack(gradient)) / size), at.decrement)
     error = jnp.asarray(error, dtype)
-    return at._replace(gradient=pack(g, at.x), stiffness=stiffness, size=size, error=error)
+    return at._replace(gradient=gradient, stiffness=stiffness, size=size, error=error)
 
 
 def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
@@ -186,11 +188,13 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
     # the change of u, its product with p, and the wrenches of J^T s'' J p
     change, x, s = unpack(product), unpack(at.x), unpack(p)
     slope = inner(s, unpack(at.gradient))
-    for row in problem.rows:
+    for row in problem.loose:
         f, h = row.response(sub(row.along(x), row.reference))
         rate = row.along(s)
         change, slope = add_row(change, row, neg(mul(h, rate))), add(slope, mul(f, rate))
     curvature, wrenches, rates = inner(s, change), jnp.zeros_like(at.w), []
+    numbers = (jnp.asarray(y, dtype) for y in (slope, curvature))
+    change, slope, curvature = problem.at_limits.along(at.x, p, (pack(change, p), *numbers))
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
         def along(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
@@ -211,7 +215,7 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
         )
         found, wrenches, slope, curvature = slots.fold(along, begin)
         rates.append(found)
-    alpha = _line_search(problem, at, s, (slope, curvature), rates)
+    alpha = _line_search(problem, at, p, (slope, curvature), rates)
     residuals = []
     for slots, r, rate in zip(problem.slots, at.residuals, rates, strict=True):
 
@@ -219,28 +223,30 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
             return r.at[k].set(r[k] + alpha * rate[k])
 
         residuals.append(slots.fold(moved, r))
-    u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
+    u, w = at.u + alpha * change, at.w + alpha * wrenches
     decrement = jnp.sqrt(jnp.abs(inner(unpack(at.gradient), s)) / at.size)
     decrement = jnp.maximum(alpha, 1.0) * decrement
     moved = at.x + alpha * p, u, w, residuals, at.iterations + 1, decrement
     return _Iterate(*moved, stiffness=at.stiffness)
 
 
-def _line_search(problem: Problem, at: _Iterate, p: list, smooth: tuple, rates: list) -> jax.Array:
-    """Find the zero of the cost's slope along p, by Newton's method with a bracket.
+def _line_search(
+    problem: Problem, at: _Iterate, step: jax.Array, smooth: tuple, rates: list
+) -> jax.Array:
+    """Find the zero of the cost's slope along a step (nv,), by Newton's method with a bracket.
 
-    smooth: slope at 0 and curvature along p of the cost without contacts and rows.
+    smooth: slope at 0 and curvature along the step of the cost without contacts and rows.
     """
-    x = unpack(at.x)
+    x, p = unpack(at.x), unpack(step)
     constant, curvature = smooth
-    scalar = [(row, sub(row.along(x), row.reference), row.along(p)) for row in problem.rows]
+    scalar = [(row, sub(row.along(x), row.reference), row.along(p)) for row in problem.loose]
 
     def slope(alpha: jax.Array) -> tuple[Lane, Lane]:
         first, second = add(constant, mul(alpha, curvature)), curvature
         for row, r, s in scalar:
             f, h = row.response(add(r, mul(alpha, s)))
             first, second = sub(first, mul(f, s)), add(second, mul(h, mul(s, s)))
-        out = (first, second)
+        out = problem.at_limits.add_slope(at.x, step, alpha, (first, second))
         groups = zip(problem.sets, problem.slots, at.residuals, rates, strict=True)
         for contacts, slots, r, rate in groups:
 
