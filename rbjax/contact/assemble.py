@@ -11,7 +11,7 @@ import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.contact_rows import ContactSet, World
+from rbjax.contact.contact_rows import ContactSet
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.parameters import pair_parameters
@@ -22,6 +22,7 @@ from rbjax.contact.rows.limit_slots import JointLimits
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
+from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.energy import Entries, product
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep

@@ -20,10 +20,11 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rbjax.contact.contact_rows import ContactSet, Slots, World
+from rbjax.contact.contact_rows import ContactSet, Slots
 from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
+from rbjax.contact.world import World
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
