@@ -28,7 +28,7 @@ from rbjax.lanes.arrays import select
 #: squared sine of the angle between two segments that count as parallel
 PARALLEL_SEGMENTS = {"float64": 1e-10, "float32": 1e-6}
 #: samples of half a great circle, and halvings of the interval about the best one
-CIRCLE, HALVINGS = 16, 24
+CIRCLE, HALVINGS = 16, 36
 #: samples of the sphere, and Newton steps from the best one
 SPHERE, STEPS = 64, 16
 
@@ -64,7 +64,7 @@ class Zonoid(NamedTuple):
             out = out + g * (jnp.sign(n.dot(g)) * s)
         for a, r in self.discs:
             across, length = _across(n, a)
-            out = out + across * (r / jnp.maximum(length, TINY))
+            out = out + across * jnp.where(length > 0, r / jnp.where(length > 0, length, 1.0), 0.0)
         return out
 
     def curvature(self, n: Vec3, x: Vec3, y: Vec3) -> tuple[Lane, Lane, Lane]:
