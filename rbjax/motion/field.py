@@ -237,7 +237,8 @@ class Field:
         return within(self.precomputed, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
-        """Compute the rate of an increment u at velocity v: u' = J_r(u)^-1 v on attitudes."""
+        """Compute the rate of an increment u at velocity v: J_r(u)^-1 v for free and ball joints,
+        v for other dofs."""
         return increment_rate(self.precomputed, u, v)
 
 
