@@ -12,8 +12,10 @@ import rbjax as rb
 G = 9.81
 LAWS = ("mujoco", "coulomb", "impulse")
 #: a box whose plate touches the floor, and whose upper part carries a body by a connect
-TOWER = """<mujoco><option timestep=".002"/><worldbody><geom name="floor" type="plane" size="0 0 1"/>
-<body name="base" pos="0 0 .1"><joint type="slide" axis="0 0 1"/><geom name="plate" type="box" size=".1 .1 .1" mass="1"/>
+TOWER = """<mujoco><option timestep=".002"/><worldbody>
+<geom name="floor" type="plane" size="0 0 1"/>
+<body name="base" pos="0 0 .1"><joint type="slide" axis="0 0 1"/>
+  <geom name="plate" type="box" size=".1 .1 .1" mass="1"/>
   <site name="under" type="box" size=".2 .2 .2" pos="0 0 -.1"/>
   <body name="upper" pos="0 0 .1"><inertial pos="0 0 .05" mass="3" diaginertia=".01 .01 .01"/>
     <site name="seam"/></body></body>
@@ -58,7 +60,8 @@ def test_rigid_constraints_under_impulses() -> None:
     np.testing.assert_allclose(np.abs(solved.forces_of("equality")).max(), 2 * G, rtol=1e-6)
 
 
-SLIDER = """<mujoco><option timestep=".002"/><worldbody><geom type="plane" size="0 0 1" friction=".25"/>
+SLIDER = """<mujoco><option timestep=".002"/><worldbody>
+<geom type="plane" size="0 0 1" friction=".25"/>
 <body pos="0 0 .1"><joint name="x" type="slide" axis="1 0 0" range="-1 0" limited="true"/>
 <joint type="slide" axis="0 0 1"/><geom type="box" size=".1 .1 .1" mass="2" friction=".25"/>
 <site name="mid"/></body></worldbody><sensor><jointlimitfrc name="stop" joint="x"/>
@@ -129,5 +132,5 @@ def test_bad_laws() -> None:
     state = model.default_state()
     with pytest.raises(rb.InputError, match="sense: contact is 'rigid', expected one of"):
         rb.sense(model, state, contact="rigid")
-    with pytest.raises(rb.InputError, match="sense: dt is -0.1, expected a positive step"):
+    with pytest.raises(rb.InputError, match=r"sense: dt is -0\.1, expected a positive step"):
         rb.sense(model, state, contact="impulse", dt=-0.1)
