@@ -21,7 +21,8 @@ TOWER = """<mujoco><option timestep=".002"/><worldbody>
     <site name="seam"/></body></body>
 <body name="load" pos="0 0 .3"><joint type="slide" axis="0 0 1"/><inertial pos="0 0 0" mass="2"
   diaginertia=".01 .01 .01"/></body></worldbody>
-<equality><connect body1="upper" body2="load" anchor="0 0 .1"/></equality><sensor><touch name="touch" site="under"/>
+<equality><connect body1="upper" body2="load" anchor="0 0 .1"/></equality><sensor>
+<touch name="touch" site="under"/>
 <contact name="net" geom1="floor" geom2="plate" data="found force" reduce="netforce"/>
 <force name="force" site="seam"/><torque name="torque" site="seam"/>
 <accelerometer name="acc" site="seam"/></sensor></mujoco>"""
