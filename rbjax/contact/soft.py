@@ -12,7 +12,6 @@ from jax.ad_checkpoint import checkpoint_name
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
-    ContactForces,
     geoms_of_rows,
     rows_in_use,
     rows_of_slots,
@@ -250,12 +249,6 @@ class SoftContact:
     def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
         t = t if model.constraints else 0.0  # only constraints depend on time
         return model, state.q, state.v, tau, f_ext, self.iterations, self.dt, t
-
-    def contact_forces(
-        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
-    ) -> ContactForces:
-        """Compute the forces of all candidate contacts."""
-        return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
         """Raise InputError if a model lacks the parameters of contact. name: the law, for the
