@@ -312,9 +312,10 @@ def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
 
 
 def _linear_solver(problem: Problem, solution: Solution) -> Any:
-    """Return the function b -> (-d equation / dx)^-1 b, with normal forces that change friction.
+    """Return the function b -> (-d equation / dx)^-1 b, if friction f depends on normal forces F.
 
-    The iteration H y_k+1 = b + J^T (df / dF) dF(y_k) has the rate of the forward iteration.
+    It iterates H y_k+1 = b + J^T (df / dF) dF(y_k), with H the matrix at constant normal forces.
+    This converges as fast as the iteration of the normal forces in the solver.
     """
     factors = factorize_at(problem, solution)
     tree, dtype = problem.tree, problem.dtype

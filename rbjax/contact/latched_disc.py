@@ -159,15 +159,15 @@ class DiscSet(ContactSet):
 
     @property
     def tables(self) -> tuple[Any, Any, Any]:
-        """The numbers of each pair, of each candidate, and of all contacts."""
+        """The parameters of the set: by pair, by candidate, and those that all contacts share."""
         by_pair, _, shared = super().tables
         return by_pair, self.memory, (shared, self.step, self.share, self.stiffness)
 
-    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> DiscSet:
+    def with_tables(self, tables: Sequence[Any]) -> DiscSet:
         """Return the set with other `tables`."""
-        options, step, share, stiffness = shared
-        given = super().with_tables(by_pair, by_candidate, options)
-        return DiscSet.of(given, by_candidate, step, share, stiffness)
+        by_pair, memory, (options, step, share, stiffness) = tables
+        given = super().with_tables((by_pair, (), options))
+        return DiscSet.of(given, memory, step, share, stiffness)
 
     def cone(self, row: Any) -> Any:
         """Return the friction model of a contact."""

@@ -141,7 +141,7 @@ class InertiaBoxFluid(Element):
         return out
 
     def _drag(self, context: Context) -> _Drag:
-        """Compute the drag coefficients of the boxes, as columns over the bodies."""
+        """Compute the drag coefficients of all boxes. Each lane is an array over the bodies."""
         bodies, index = context.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
         xp, found = tables(context.q.dtype, *own, self.density, self.viscosity)
@@ -305,7 +305,7 @@ class EllipsoidFluid(Element):
         return out
 
     def _ellipsoids(self, context: Context) -> _Ellipsoid:
-        """Compute the coefficients of the forces, as columns over the ellipsoids."""
+        """Compute the force coefficients. Each lane is an array over the ellipsoids."""
         drags = self.blunt_drag, self.slender_drag, self.angular_drag
         lifts = self.kutta_lift, self.magnus_lift
         fluid = self.virtual_mass, self.virtual_inertia, self.density, self.viscosity

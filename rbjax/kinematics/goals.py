@@ -167,7 +167,8 @@ class GoalErrors:
             self._rows(goal, False, e, path, lambda spin, slip: slip(p))
 
     def _frame(self, goal: Goal) -> tuple[int, Vec3, Mat3]:
-        """Return the link that carries the frame, and its point and attitude in link axes."""
+        """Return the link that carries the frame, and the frame's origin and orientation in link
+        axes."""
         model, d = self.model, self._d
         like = jnp.zeros(0, self.dtype)
         link, r = locate_on_link("Goal", model, d, like, Frame(goal.body, goal.point, goal.site))

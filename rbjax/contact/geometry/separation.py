@@ -28,7 +28,7 @@ from rbjax.lanes.arrays import select
 #: squared sine of the angle between two segments that count as parallel
 PARALLEL_SEGMENTS = {"float64": 1e-10, "float32": 1e-6}
 #: samples of half a great circle, and halvings of the interval about the best one
-CIRCLE, HALVINGS = 16, 24
+CIRCLE, HALVINGS = 16, 36
 #: samples of the sphere, and Newton steps from the best one
 SPHERE, STEPS = 64, 16
 
@@ -64,7 +64,7 @@ class Zonoid(NamedTuple):
             out = out + g * (jnp.sign(n.dot(g)) * s)
         for a, r in self.discs:
             across, length = _across(n, a)
-            out = out + across * (r / jnp.maximum(length, TINY))
+            out = out + across * jnp.where(length > 0, r / jnp.where(length > 0, length, 1.0), 0.0)
         return out
 
     def curvature(self, n: Vec3, x: Vec3, y: Vec3) -> tuple[Lane, Lane, Lane]:
@@ -131,8 +131,8 @@ def _towards(n: Vec3, d: Vec3) -> Lane:
 
 
 def _known(K: Zonoid) -> tuple[Vec3, Lane]:
-    """Return the axes of discs and the products of two segments, lanes (n,), and which are not
-    zero."""
+    """Return the directions in which the separation may have a kink at its maximum, lanes (n,), and
+    which of them exist: the axes of the discs, and the cross products of two segments."""
     g = [g for g, _ in K.segments]
     products = [a.cross(b) for i, a in enumerate(g) for b in g[i + 1 :]]
     all_ = _stack([a for a, _ in K.discs] + products)
@@ -144,7 +144,8 @@ def _known(K: Zonoid) -> tuple[Vec3, Lane]:
 def _search(K: Zonoid, d: Vec3) -> tuple[Lane, Vec3]:
     """Return the kind of the greatest maximum, and a direction close to it.
 
-    The kind is an index: known directions, then circles, then the sphere.
+    The kind is an index: first the directions of `_known`, then the circles orthogonal to each
+    segment, last the rest of the sphere.
     """
     dtype = jnp.result_type(d[0])
     scale = K.size + jnp.sqrt(d.dot(d))

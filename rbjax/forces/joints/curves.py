@@ -141,7 +141,7 @@ class JointCurves(Element):
         return Loads(out)
 
     def energy(self, context: Context) -> Lane:
-        """Compute the energy, the integral of c from the middle of the range."""
+        """Compute the energy, the integral of the torque c from the middle of the range."""
         torque = table(self.torque, context.q.dtype)
 
         def stored(row: int) -> Lane:
