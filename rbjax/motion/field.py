@@ -247,6 +247,11 @@ def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
     return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
 
 
+def gives_velocities(dynamics: Any) -> TypeGuard[VelocityDynamics]:
+    """Check whether a dynamics gives the velocity after a step, and no accelerations."""
+    return isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
+
+
 def with_contact(where: str, model: Model, dynamics: Any, contact: Any) -> Any:
     """Return the dynamics of a contact law, or the given dynamics if there is no law.
 
@@ -284,7 +289,7 @@ def dynamics_of(
         if law is None:
             return formulation_of(where, model, constraints) or dynamics
         dynamics = law_of(where, model, law)
-    if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
+    if gives_velocities(dynamics):
         if not steps:
             raise InputError(
                 f"{where}: {type(dynamics).__name__} maps forces to the velocity after a step, and "

@@ -131,9 +131,11 @@ class ContactSensor(FixedSensor):
         """Return the candidates between both parts in the order of the pairs of the model, with -1
         for those whose geoms are in the other order, else 1."""
         geoms: Any = model.geoms
-        place = {pair: k for k, pair in enumerate(geoms.pairs)}
+        place = {pair: k for k, pair in enumerate(geoms.pairs)}  # a law may have other pairs
         rows, signs = [], []
-        order = sorted(range(len(contacts.geoms)), key=lambda row: place[contacts.geoms[row]])
+        order = sorted(
+            range(len(contacts.geoms)), key=lambda row: place.get(contacts.geoms[row], len(place))
+        )
         for row in order:
             a, b = contacts.geoms[row]
             for one, other, sign in ((a, b, 1.0), (b, a, -1.0)):

@@ -42,7 +42,7 @@ class JointLimitForce(JointLimitSensor):
 @register("tendonlimitfrc", placed=True)
 class TendonLimitForce(TendonLimitSensor):
     """Measure the force of a tendon limit of the contact solver, which is not negative; zero if
-    the dynamics is not soft contact."""
+    the dynamics is not a contact law."""
 
     of, clipped = "N", "above"
 

@@ -136,6 +136,7 @@ def test_linearise(integrator: str) -> None:
     assert relative_error(jnp.concatenate([A, B], 1), jnp.stack(J, 1), floor=1.0) < 1e-8
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 @pytest.mark.parametrize("kernel", [False, True])
 def test_gradient_of_a_rollout(kernel: bool) -> None:
     """Reverse, forward and differences agree through a landing."""
