@@ -68,7 +68,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "fusion_barrier", "horner", "inner", "inverse", "is_literal", "is_zero", "ldlt",
               "lu",
               "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "pack",
-              "polynomial_sincos", "quaternion_matrix", "rotation_z", "sincos", "sub", "total",
+              "polynomial_sincos", "quaternion_matrix", "rotation_z", "safe_sqrt", "sincos", "sub", "total",
               "unpack"},
     "model": {"with_constants", "partition", "prepare", "spans",
               "without_constants"},
