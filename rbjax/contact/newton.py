@@ -15,6 +15,10 @@ The decrement is the error of x in the norm of H. It is small for rounding error
 whose gradient is not. If alpha is above one, the decrement is alpha times larger, the length of the
 step.
 
+Across the stick disc of latched friction the curvature jumps, and a step may end at the far side of
+the disc, again and again. So a step after a short one has the curvature of a bound of the cost
+(`latched_disc`), along which the cost falls without such jumps.
+
 M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
 the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
 gives the twists of the links at p too, so a step is one inward and one outward sweep.
@@ -41,6 +45,8 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
 SLOPE = 0.01
+#: the length below which a step is short
+SHORT = 0.5
 
 
 class Solution(NamedTuple):
@@ -70,6 +76,7 @@ class _Iterate(NamedTuple):
         error: the error of the iterate before the last step.
         decrement: Newton's decrement of the last step, relative to the forces.
         iterations: the number of steps.
+        short: whether the last step was short; None for a problem without latched friction.
     """
 
     x: jax.Array
@@ -79,6 +86,7 @@ class _Iterate(NamedTuple):
     error: jax.Array
     decrement: jax.Array
     iterations: jax.Array
+    short: jax.Array | None = None
 
 
 class _Values(NamedTuple):
@@ -106,10 +114,11 @@ def solve(
         return (at.error > bound) & (at.iterations <= iterations)
 
     def step(at: _Iterate) -> _Iterate:
-        values = _evaluate(problem, at)
+        now = problem if at.short is None else problem.bounded(at.short)
+        values = _evaluate(now, at)
         at = at._replace(error=values.error)
         more = (at.error > bound) & (at.iterations < iterations)
-        moved = jax.lax.cond(more, lambda: _newton_step(problem, at, values), lambda: at)
+        moved = jax.lax.cond(more, lambda: _newton_step(now, at, values), lambda: at)
         return moved._replace(iterations=at.iterations + 1)
 
     at = jax.lax.while_loop(unfinished, step, _start(problem))
@@ -136,7 +145,8 @@ def _start(problem: Problem) -> _Iterate:
     u = pack([neg(y) for y in problem.rhs], zero)
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
     infinite = jnp.full((), jnp.inf, dtype)
-    return _Iterate(zero, u, w, residuals, infinite, infinite, jnp.int32(0))
+    short = jnp.bool_(False) if problem.latched else None
+    return _Iterate(zero, u, w, residuals, infinite, infinite, jnp.int32(0), short)
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
@@ -216,7 +226,11 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
     u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
     decrement = jnp.sqrt(jnp.abs(inner(unpack(values.gradient), s)) / values.size)
     decrement = jnp.maximum(alpha, 1.0) * decrement
-    return _Iterate(at.x + alpha * p, u, w, residuals, at.error, decrement, at.iterations)
+    short = None
+    if at.short is not None:  # the decrement is Newton's only with Newton's curvature
+        decrement, short = jnp.where(at.short, jnp.inf, decrement), alpha < SHORT
+    x = at.x + alpha * p
+    return _Iterate(x, u, w, residuals, at.error, decrement, at.iterations, short)
 
 
 def _line_search(

@@ -22,6 +22,7 @@ from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.in_use import InUse, wrenches_in_use
+from rbjax.contact.latched_disc import DiscSet
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
@@ -180,6 +181,17 @@ class Problem:
         """
         slots = [Slots.collect(x, self.touching, gap=gap) for x in self.sets]
         return replace(self, slots=slots)
+
+    @property
+    def latched(self) -> bool:
+        """Whether the friction of a set of contacts has a latched normal force."""
+        return any(isinstance(x, DiscSet) for x in self.sets)
+
+    def bounded(self, short: jax.Array) -> Problem:
+        """Return the problem with the curvature of a bound of latched friction, if `short`."""
+        latched = lambda x: isinstance(x, DiscSet)  # noqa: E731
+        sets = [replace(x, bounded=short) if latched(x) else x for x in self.sets]
+        return replace(self, sets=sets)
 
     @property
     def touching(self) -> World:

@@ -168,7 +168,7 @@ class SoftContact:
     restitution e and damping c per mass has dz/dh = -e - c e (T - t_touch - t_c - c/k) in place of
     -e. Use `contact="impulse"` or `CompliantContact` for derivatives through impacts, or an
     impedance that begins near zero (solimp="0.0001 0.95 0.02 0.5 2"), whose bias vanishes with the
-    step.
+    step. `rollout`, `simulate` and `step` warn of biased derivatives.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the

@@ -79,6 +79,7 @@ def sliding_and_sticking() -> tuple[rb.Model, State]:
     return model, mover(model, contact="coulomb")(start, 2e-3, 0.05)
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 def test_the_derivative_is_implicit():
     model, state = sliding_and_sticking()
 

@@ -26,8 +26,6 @@ from rbjax.contact.geometry.shapes import TINY, Contact, Shape, contact_frame, u
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 
-#: contacts of a pair, at most
-CONTACTS = 4
 #: sine of the angle between two lines that count as parallel
 PARALLEL_LINES = 2e-3
 #: a segment is orthogonal to a direction if the cosine is below, and two lengths are equal,
@@ -58,36 +56,9 @@ def _box(shape: Shape) -> Zonoid:
 
 
 def _contacts(one: tuple[Shape, Zonoid], other: tuple[Shape, Zonoid], reach: Lane) -> list[Contact]:
-    """Return the contacts of two shapes. The search runs if their spheres are within reach."""
+    """Return up to four contacts of two shapes, each with its segments and discs."""
     (a, A), (b, B) = one, other
     d = b.p - a.p
-    apart = jnp.sqrt(d.dot(d) + TINY * TINY) - A.size - B.size
-    none = Contact(apart, a.p, unit(d, Vec3(0.0, 0.0, 1.0)), False)
-    like = jnp.asarray(apart)
-
-    def near() -> list[Contact]:
-        return _alike(_near(one, other, d, reach), like)
-
-    def far() -> list[Contact]:
-        return _alike([none] * CONTACTS, like)
-
-    return jax.lax.cond(apart <= reach, near, far)
-
-
-def _alike(contacts: list[Contact], like: jax.Array) -> list[Contact]:
-    """Return contacts whose lanes have one dtype, for both branches."""
-    return [
-        jax.tree.map(lambda x: jnp.asarray(x, like.dtype), c._replace(exists=0.0))._replace(
-            exists=jnp.asarray(c.exists, bool)
-        )
-        for c in contacts
-    ]
-
-
-def _near(
-    one: tuple[Shape, Zonoid], other: tuple[Shape, Zonoid], d: Vec3, reach: Lane
-) -> list[Contact]:
-    (a, A), (b, B) = one, other
     found = least_overlap(Zonoid(A.segments + B.segments, A.discs + B.discs), d)
     n, least = found
     small = SMALL[jnp.result_type(least).name]
