@@ -24,6 +24,7 @@ from rbjax.contact.contact_rows import ContactSet, Slots, World
 from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.latched_disc import DiscSet
 from rbjax.contact.rows.scalar_row import ScalarRow
+from rbjax.dynamics.algorithms.aba import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
@@ -42,8 +43,7 @@ class Factors(NamedTuple):
 
     def named(self) -> Factors:
         """Name the factors, so that derivatives save them."""
-        name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
-        L, inverse_D = jax.tree.map(name, (self.factors.L, self.factors.inverse_D))
+        L, inverse_D = name_factors((self.factors.L, self.factors.inverse_D))
         return Factors(self.factors._replace(L=L, inverse_D=inverse_D))
 
 

@@ -11,7 +11,9 @@ import numpy as np
 
 from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.impact_bias import warn_of_impacts
+from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.inputs import Inputs, Source, inputs_at
@@ -171,7 +173,13 @@ def step(
     return State(after.q, after.v, after.x, after.memory)
 
 
-@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step")
+def _solves(model: Model, *args: Any, contact: Any, dynamics: Any, **others: Any) -> bool:
+    """Check whether a step solves a contact problem."""
+    own = model.contact if dynamics is free_motion else None
+    return (contact or own) is not None or isinstance(dynamics, SoftContact | CoulombContact)
+
+
+@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step", saves=_solves)
 def _step(
     model: Model, state: State, ctrl: Any = None, dt: Any = None, tau: Any = None,
     wrenches: Any = None, *, t: Any = 0.0, integrator: Any = None, dynamics: Any = free_motion,

@@ -21,7 +21,7 @@ from rbjax.arguments import integer
 from rbjax.contact.contact_forces import ContactForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, safe_sqrt
 from rbjax.lanes.arrays import matvec
 from rbjax.model import WORLD, Frame, Model
 from rbjax.sensors.columns import Columns
@@ -202,9 +202,7 @@ class ContactSensor(FixedSensor):
     ) -> dict[str, jax.Array]:
         """Return the sum of all contacts as the data of one slot."""
         force, torque, position = values["world"][:, :3], values["world"][:, 3:], values["pos"]
-        square = (force**2).sum(1)
-        pushes = active & (square > 0)
-        weight = jnp.where(pushes, jnp.sqrt(jnp.where(pushes, square, 1.0)), 0.0)
+        weight = jnp.where(active, safe_sqrt((force**2).sum(1)), 0.0)
         total = weight.sum()
         some = total > 0
         center = jnp.where(
