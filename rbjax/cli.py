@@ -269,7 +269,8 @@ def identify(
     example: Annotated[bool, typer.Option("--example", help="Write an example here.")] = False,
     folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
-    """Fit a robot's parameters to recordings. Writes a report and the robot's file with them."""
+    """Fit a robot's parameters to recordings. Writes a report, and the robot's file with the
+    fitted parameters."""
     from rbjax.sysid.jobs.example import write_example
     from rbjax.sysid.jobs.job import Job
 
@@ -358,9 +359,9 @@ def bench(
 
 
 def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
-    from rbjax.validation.ours import cast
+    from rbjax.model.record import cast_floats
 
-    model, q, v = cast((model, samples.q, samples.v), dtype)
+    model, q, v = cast_floats((model, samples.q, samples.v), dtype)
     run = jax.jit(jax.vmap(rb.forward_dynamics, (None, 0, 0, 0)))
     jax.block_until_ready(run(model, q, v, v))
     times = []

@@ -44,7 +44,9 @@ def bench(name: str, batch: int, parts: tuple[str, ...]) -> list[dict[str, Any]]
         ).q[:, -1]
 
     def gradient(robot: rb.Model, q: Any, v: Any, ctrl: Any) -> Any:
-        return jax.grad(lambda u: (end(robot, q, v, u) ** 2).sum())(ctrl)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*biased at any step size")
+            return jax.grad(lambda u: (end(robot, q, v, u) ** 2).sum())(ctrl)
 
     for part in parts:
         row = {"what": part, "robot": short, "engine": "rbjax", "batch": batch}

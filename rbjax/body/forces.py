@@ -15,9 +15,8 @@ import jax.numpy as jnp
 
 from rbjax import spatial
 from rbjax.body.body import Body
-from rbjax.lanes import matvec
+from rbjax.lanes import matvec, safe_sqrt
 from rbjax.rotations.arguments import checked
-from rbjax.rotations.coefficients import length
 
 
 def _as_array(value: Any) -> Any:
@@ -143,14 +142,14 @@ class Spring(Force):
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
-        l = length((d * d).sum())
+        l = safe_sqrt((d * d).sum())
         # a spring of length zero has no direction and exerts no force
         pull = 1 - self.rest_length / jnp.where(l > 0, l, jnp.inf)
         return _world_force(T, -self.stiffness * pull * d, self.point)
 
     def potential(self, body: Body, T: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
-        return self.stiffness * (length((d * d).sum()) - self.rest_length) ** 2 / 2
+        return self.stiffness * (safe_sqrt((d * d).sum()) - self.rest_length) ** 2 / 2
 
 
 class Damper(Force):

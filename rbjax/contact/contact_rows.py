@@ -114,14 +114,14 @@ class ContactSet:
 
     @property
     def tables(self) -> tuple[Any, Any, Any]:
-        """The numbers of each pair, of each candidate, and of all contacts."""
+        """The parameters of the set: by pair, by candidate, and those that all contacts share."""
         columns = self.parameters._replace(condim=())
         return (columns, self.weights), (), self.options
 
-    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> ContactSet:
+    def with_tables(self, tables: Sequence[Any]) -> ContactSet:
         """Return the set with other `tables`."""
-        del by_candidate
-        return replace(self, parameters=by_pair[0], weights=by_pair[1], options=shared)
+        (parameters, weights), _, options = tables
+        return replace(self, parameters=parameters, weights=weights, options=options)
 
     @property
     def candidates(self) -> int:

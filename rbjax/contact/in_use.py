@@ -56,9 +56,7 @@ def wrenches_in_use(
         row a candidate, and zeros for a candidate that is not in use.
     """
     places = _places(contacts, world, used)
-    by_pair, by_candidate, shared = contacts.tables
-    groups = [by_pair, by_candidate, shared]
-    split = [_Split.of(x) for x in groups]
+    split = [_Split.of(x) for x in contacts.tables]
     ends = [np.ascontiguousarray(contacts.links[:, k]) for k in (0, 1)]
     moving = contacts.links.min(1)  # if one of the links is the world, it is the last one
     responses = world.responses
@@ -102,7 +100,7 @@ def wrenches_in_use(
         ]
         zero = np.zeros(1, int)
         one = replace(
-            contacts.with_tables(*own), geoms=np.zeros((1, 2), int), links=np.array([[0, 1]]),
+            contacts.with_tables(own), geoms=np.zeros((1, 2), int), links=np.array([[0, 1]]),
             link_pairs=zero,
         )  # fmt: skip
         own_world = World(place, at_v, pose, responses=response)
@@ -181,10 +179,7 @@ def _places(contacts: ContactSet, world: World, used: InUse) -> jax.Array:
 
 
 class _Split(NamedTuple):
-    """The arrays of a pytree, which may be traced, and a function that puts rows in their places.
-
-    Other leaves are constants.
-    """
+    """A pytree split into JAX arrays, which may be traced, and constant leaves."""
 
     arrays: list[jax.Array]
     leaves: list[Any]

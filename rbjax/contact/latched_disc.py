@@ -7,7 +7,9 @@ during the minimisation. With U_k = mu_k r_k, T = |U| and a stiff row D_k = D_1 
     friction   f_k = -D_k r_k               if D_1 T / mu_1^2 <= F, the contact sticks
                f_k = -F mu_k U_k / T        else, the contact slips
 For a constant F these forces are the negative gradient of a convex cost, so the Newton method of
-soft contact solves the problem. The solution has the true law of Coulomb if F = f_0 at the end.
+soft contact solves the problem. The cost, c T^2 / 2 up to F = c T and F T beyond, has a jump of the
+curvature along the slip, from c to 0. At any T0 its bound F T^2 / (2 T0) has the curvature F / T0
+in all directions (Weiszfeld). The solution has the true law of Coulomb if F = f_0 at the end.
 
 Each candidate has a bristle: the displacement s that has accumulated since the contact began to
 stick. A contact that sticks has the target velocity -share s / h after the step, and therefore no
@@ -50,12 +52,14 @@ class Disc(NamedTuple):
         D, D_t: the inverse regularization of the normal row and of the first tangent.
         mu: friction coefficients of the other rows.
         latch: the normal force F; if None, the normal force at the residual.
+        bounded: whether the Hessian of a slip is the one of the bound of the cost.
     """
 
     D: Lane
     D_t: Lane
     mu: tuple[Lane, ...]
     latch: Lane | None
+    bounded: Any = False
 
     def normal(self, r: Lane) -> Lane:
         """Compute the normal force at the residual r of the normal row."""
@@ -80,7 +84,10 @@ class Disc(NamedTuple):
         row."""
         active = jnp.where(r[0] < 0, self.D, 0.0)
         sticks, ratio, t = self.slip(r)
-        scale, along = jnp.where(sticks, self._c, ratio), jnp.where(sticks, 0.0, ratio)
+        scale, along = (
+            jnp.where(sticks, self._c, ratio),
+            jnp.where(sticks | self.bounded, 0.0, ratio),
+        )
         f: list[Lane] = [-active * r[0]]
         H: list[list[Lane]] = [[active]]
         for i, m in enumerate(self.mu):
@@ -142,12 +149,14 @@ class DiscSet(ContactSet):
         step: h in s.
         share: the share of a bristle that a step removes.
         stiffness: impedance of the friction rows, below 1.
+        bounded: field of `Disc`.
     """
 
     memory: Any
     step: Any
     share: Any
     stiffness: Any
+    bounded: Any = False
 
     @classmethod
     def of(cls, given: ContactSet, memory: Any, step: Any, share: Any, stiffness: Any) -> DiscSet:
@@ -160,21 +169,21 @@ class DiscSet(ContactSet):
 
     @property
     def tables(self) -> tuple[Any, Any, Any]:
-        """The numbers of each pair, of each candidate, and of all contacts."""
+        """The parameters of the set: by pair, by candidate, and those that all contacts share."""
         by_pair, _, shared = super().tables
         return by_pair, self.memory, (shared, self.step, self.share, self.stiffness)
 
-    def with_tables(self, by_pair: Any, by_candidate: Any, shared: Any) -> DiscSet:
+    def with_tables(self, tables: Sequence[Any]) -> DiscSet:
         """Return the set with other `tables`."""
-        options, step, share, stiffness = shared
-        given = super().with_tables(by_pair, by_candidate, options)
-        return DiscSet.of(given, by_candidate, step, share, stiffness)
+        by_pair, memory, (options, step, share, stiffness) = tables
+        given = super().with_tables((by_pair, (), options))
+        return DiscSet.of(given, memory, step, share, stiffness)
 
     def cone(self, row: Any) -> Any:
         """Return the friction model of a contact."""
         mu = self._lanes(self.parameters.friction, row.pair)[: self.dim - 1]
         d, weight = self.stiffness, self._lane(self.weights, row.pair)
-        return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch)
+        return Disc(row.D, d / ((1.0 - d) * weight), tuple(mu), row.latch, self.bounded)
 
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Any:
         """Compute the rows of a contact. If it is not active, D is 0."""

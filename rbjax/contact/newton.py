@@ -15,6 +15,10 @@ The decrement is the error of x in the norm of H. It is small for rounding error
 whose gradient is not. If alpha is above one, the decrement is alpha times larger, the length of the
 step.
 
+Across the stick disc of latched friction the curvature jumps, and a step may end at the far side of
+the disc, again and again. So a step after a short one has the curvature of a bound of the cost
+(`latched_disc`), along which the cost falls without such jumps.
+
 M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
 the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
 gives the twists of the links at p too, so a step is one inward and one outward sweep.
@@ -41,6 +45,8 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
 SLOPE = 0.01
+#: the length below which a step is short
+SHORT = 0.5
 
 
 class Solution(NamedTuple):
@@ -69,6 +75,7 @@ class _Iterate(NamedTuple):
         residuals: of the contacts of each set.
         iterations: the number of steps.
         decrement: Newton's decrement of the last step, relative to the forces.
+        short: whether the last step was short; None for a problem without latched friction.
         gradient: (nv,) of the cost.
         stiffness: (n, 21) of the contacts of each pair of links.
         size: of the forces (see the module).
@@ -81,6 +88,7 @@ class _Iterate(NamedTuple):
     residuals: list[jax.Array]
     iterations: jax.Array
     decrement: jax.Array
+    short: jax.Array | None
     gradient: Any = None
     stiffness: Any = None
     size: Any = None
@@ -129,7 +137,13 @@ def _start(problem: Problem) -> _Iterate:
     u = pack([neg(y) for y in problem.rhs], zero)
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
     infinite = jnp.full((), jnp.inf, dtype)
-    return _Iterate(zero, u, w, residuals, jnp.int32(0), infinite)
+    short = jnp.bool_(False) if problem.latched else None
+    return _Iterate(zero, u, w, residuals, jnp.int32(0), infinite, short)
+
+
+def _with_curvature(problem: Problem, at: _Iterate) -> Problem:
+    """Return the problem with the curvature of the next step (see the module)."""
+    return problem if at.short is None else problem.bounded(at.short)
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
@@ -146,6 +160,7 @@ def _factors(problem: Problem, at: _Iterate) -> Any:
 
 def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
     """Return an iterate with its gradient, stiffness, size and error."""
+    problem = _with_curvature(problem, at)
     tree, dtype = problem.tree, problem.dtype
     none, wrenches = jnp.zeros((len(tree.link_pairs), 21), dtype), at.w
     # in place, as the iterate that it belongs to is over
@@ -182,6 +197,7 @@ def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
 
 def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
     """Return the next iterate, without the values of the cost."""
+    problem = _with_curvature(problem, at)
     dtype = problem.dtype
     factors = _factors(problem, at)
     p, product, twists = solve_direction(problem, factors, -at.gradient, at.residuals)
@@ -226,8 +242,11 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
     u, w = at.u + alpha * change, at.w + alpha * wrenches
     decrement = jnp.sqrt(jnp.abs(inner(unpack(at.gradient), s)) / at.size)
     decrement = jnp.maximum(alpha, 1.0) * decrement
-    moved = at.x + alpha * p, u, w, residuals, at.iterations + 1, decrement
-    return _Iterate(*moved, stiffness=at.stiffness)
+    short = None
+    if at.short is not None:  # the decrement is Newton's only with Newton's curvature
+        decrement, short = jnp.where(at.short, jnp.inf, decrement), alpha < SHORT
+    now = at.x + alpha * p, u, w, residuals, at.iterations + 1, decrement, short
+    return _Iterate(*now, stiffness=at.stiffness)
 
 
 def _line_search(

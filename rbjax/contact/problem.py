@@ -22,9 +22,11 @@ from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.contact.contact_rows import ContactSet, Slots
 from rbjax.contact.in_use import InUse, wrenches_in_use
+from rbjax.contact.latched_disc import DiscSet
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.world import World
+from rbjax.dynamics.algorithms.aba import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
@@ -43,8 +45,7 @@ class Factors(NamedTuple):
 
     def named(self) -> Factors:
         """Name the factors, so that derivatives save them."""
-        name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
-        L, inverse_D = jax.tree.map(name, (self.factors.L, self.factors.inverse_D))
+        L, inverse_D = name_factors((self.factors.L, self.factors.inverse_D))
         return Factors(self.factors._replace(L=L, inverse_D=inverse_D))
 
 
@@ -205,6 +206,16 @@ class Problem:
         """The limits that act, of a problem after `detect`."""
         assert self.active_limits is not None
         return self.active_limits
+
+    @property
+    def latched(self) -> bool:
+        """Whether the friction of a set of contacts has a latched normal force."""
+        return any(isinstance(x, DiscSet) for x in self.sets)
+
+    def bounded(self, short: jax.Array) -> Problem:
+        """Return the problem with the curvature of a bound of latched friction, if `short`."""
+        sets = [replace(x, bounded=short) if isinstance(x, DiscSet) else x for x in self.sets]
+        return replace(self, sets=sets)
 
     @property
     def touching(self) -> World:

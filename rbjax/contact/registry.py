@@ -11,6 +11,8 @@ from rbjax.contact.soft import SoftContact
 from rbjax.errors import InputError
 from rbjax.model import Model
 
+#: the classes of the laws, which have the method `solve`
+Law = SoftContact | CoulombContact | MoreauContact
 #: name -> constructor of the dynamics of a model
 _LAWS: dict[str, Callable[[Model], Any]] = {
     "mujoco": lambda model: SoftContact(),
@@ -47,7 +49,7 @@ def law_of(where: str, model: Model, contact: Any) -> Any:
     known: Callable[[Model], Any] | None = None
     if isinstance(contact, str):
         known = _LAWS.get(contact)
-    elif isinstance(contact, SoftContact | CoulombContact | MoreauContact):
+    elif isinstance(contact, Law):
         known = lambda model: contact  # noqa: E731
     if known is None:
         raise InputError(

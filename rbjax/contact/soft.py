@@ -12,7 +12,6 @@ from jax.ad_checkpoint import checkpoint_name
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
-    ContactForces,
     geoms_of_rows,
     rows_in_use,
     rows_of_slots,
@@ -169,7 +168,7 @@ class SoftContact:
     restitution e and damping c per mass has dz/dh = -e - c e (T - t_touch - t_c - c/k) in place of
     -e. Use `contact="impulse"` or `CompliantContact` for derivatives through impacts, or an
     impedance that begins near zero (solimp="0.0001 0.95 0.02 0.5 2"), whose bias vanishes with the
-    step.
+    step. `rollout`, `simulate` and `step` warn of biased derivatives.
 
     Args:
         iterations: the largest number of Newton steps. A step that ends at this number returns the
@@ -250,12 +249,6 @@ class SoftContact:
     def _arguments(self, model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
         t = t if model.constraints else 0.0  # only constraints depend on time
         return model, state.q, state.v, tau, f_ext, self.iterations, self.dt, t
-
-    def contact_forces(
-        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces
-    ) -> ContactForces:
-        """Compute the forces of all candidate contacts."""
-        return self.solve(model, t, state, tau, f_ext).contacts
 
     def check(self, where: str, model: Model, name: str = "mujoco") -> None:
         """Raise InputError if a model lacks the parameters of contact. name: the law, for the

@@ -85,7 +85,7 @@ def inverse_weights(
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:
     """Return the motions of the joints in the reference configuration, per link.
 
-    If the steps are written out, hinges and slides have a displacement of zero, as a literal.
+    The `Unrolled` driver gets literals, with zero displacement of hinges and slides.
     """
     reference = table(model.joints.reference, dtype)
     if not isinstance(d, Unrolled):

@@ -42,7 +42,7 @@ import numpy as np
 from rbjax.forces.context import Context, Frame, frames_of, on_each
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.slopes import Slope
-from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul, neg, quaternion_matrix
+from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, neg, quaternion_matrix, safe_sqrt
 from rbjax.model import WORLD, Model
 from rbjax.model.leaves import table, tables
 from rbjax.model.links import lane
@@ -141,7 +141,7 @@ class InertiaBoxFluid(Element):
         return out
 
     def _drag(self, context: Context) -> _Drag:
-        """Compute the drag coefficients of the boxes, as columns over the bodies."""
+        """Compute the drag coefficients of all boxes. Each lane is an array over the bodies."""
         bodies, index = context.model.bodies, np.array(self.bodies)
         own = bodies.mass[index], bodies.inertia[index], self.orientation
         xp, found = tables(context.q.dtype, *own, self.density, self.viscosity)
@@ -305,7 +305,7 @@ class EllipsoidFluid(Element):
         return out
 
     def _ellipsoids(self, context: Context) -> _Ellipsoid:
-        """Compute the coefficients of the forces, as columns over the ellipsoids."""
+        """Compute the force coefficients. Each lane is an array over the ellipsoids."""
         drags = self.blunt_drag, self.slender_drag, self.angular_drag
         lifts = self.kutta_lift, self.magnus_lift
         fluid = self.virtual_mass, self.virtual_inertia, self.density, self.viscosity
@@ -363,8 +363,8 @@ def _moment(length: Lane, radius: Lane) -> Lane:
 def _wrench(V: Motion, own: _Ellipsoid) -> Force:
     """Compute the fluid forces on an ellipsoid at a twist, in its axes at its center."""
     w, v = V.ang, V.lin
-    p, h = _scaled(own.mass, v), _scaled(own.inertia, w)
-    turning = mul(own.density, root(_squared(_scaled(own.moments, w))))
+    p, h = own.mass.entrywise(v), own.inertia.entrywise(w)
+    turning = mul(own.density, safe_sqrt(_squared(own.moments.entrywise(w))))
     force = p.cross(w) + w.cross(v) * own.magnus - v * own.viscous_force
     if not is_zero(_squared(v)):
         force = force + _quadratic(v, own)
@@ -374,27 +374,14 @@ def _wrench(V: Motion, own: _Ellipsoid) -> Force:
 def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
     """Compute the drag and lift that are quadratic in the speed."""
     square = _squared(v)
-    speed, moves = root(square), square > 0
+    speed, moves = safe_sqrt(square), square > 0
     u = v * (1.0 / jnp.where(moves, speed, 1.0))
-    N = _scaled(own.squares, u)
+    N = own.squares.entrywise(u)
     along, normal = (jnp.where(moves, x, 1.0) for x in (N.dot(u), _squared(N)))
     area = mul(own.area, jnp.sqrt(normal / along))
     drag = v * mul(speed, add(own.slender, mul(own.blunt, area)))
     return N.cross(u).cross(u) * mul(own.kutta, mul(area, along / normal) * square) - drag
 
 
-def _scaled(a: Vec3, b: Vec3) -> Vec3:
-    """Multiply two vectors entry by entry."""
-    return Vec3(*map(mul, a, b))
-
-
 def _squared(a: Vec3) -> Lane:
     return a.dot(a)
-
-
-def root(x: Lane) -> Lane:
-    """Compute sqrt(x) with a zero derivative at x = 0."""
-    if is_literal(x):
-        return math.sqrt(x)
-    some = x > 0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, x, 1.0)), 0.0)

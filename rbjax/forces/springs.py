@@ -121,8 +121,13 @@ class PointSpring(Element):
             return 0.0
         line = self.b.point(context).position - self.a.point(context).position
         x, _ = stretch(*distance(line, context.q.dtype), self.slack, context.q.dtype)
-        shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
-        return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
+        return stretch_energy(k, x)
+
+
+def stretch_energy(k: list[Lane], x: Lane) -> Lane:
+    """Compute the energy x^2 (k_0 / 2 + k_1 x / 3 + ...) of the stretch x, J."""
+    shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
+    return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
 
 
 def stretch(length: Lane, inverse: Lane, slack: jax.Array, dtype: Any) -> tuple[Lane, Lane]:
@@ -193,16 +198,16 @@ class Bushing(Element):
         a, b = self.a.frame(context), self.b.frame(context)
         k, d = numbers(self.stiffness, context.q.dtype), numbers(self.damping, context.q.dtype)
         E, line = a.rotation.T, b.position - a.position
-        torque, force = Vec3.zero(), _scaled(k[3:], E @ line)
+        torque, force = Vec3.zero(), (E @ line).entrywise(k[3:])
         if not all(map(is_zero, k[:3])):
             phi = _rotation_vector(E @ b.rotation)
             back = Mat3(*inverse_left_lanes([-x for x in phi]))  # J_l^-T
-            torque = back @ _scaled(k[:3], phi)
+            torque = back @ phi.entrywise(k[:3])
         if not all(map(is_zero, d)):
             turning = b.angular_velocity - a.angular_velocity
             moving = b.velocity - a.velocity - a.angular_velocity.cross(line)
-            torque = torque + _scaled(d[:3], E @ turning)
-            force = force + _scaled(d[3:], E @ moving)
+            torque = torque + (E @ turning).entrywise(d[:3])
+            force = force + (E @ moving).entrywise(d[3:])
         torque, force = a.rotation @ torque, a.rotation @ force
         return a.push(force, torque, at=b.position) + b.push(-force, -torque)
 
@@ -218,10 +223,6 @@ class Bushing(Element):
         phi = _rotation_vector(E @ b.rotation) if turns else Vec3.zero()
         pairs = zip(k, [*phi, *way], strict=True)
         return mul(0.5, inner(*zip(*((mul(s, x), x) for s, x in pairs), strict=True)))
-
-
-def _scaled(k: list[Lane], x: Vec3) -> Vec3:
-    return Vec3(*map(mul, k, x))
 
 
 def _rotation_vector(R: Mat3) -> Vec3:

@@ -25,16 +25,12 @@ def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
     return tuple(given)
 
 
-def check_at_least(
-    where: str, name: str, value: Any, *shapes: tuple[int, ...], least: float = 0.0
-) -> jax.Array:
-    """Convert to an array of one of the shapes. Raise InputError if an entry is below `least`."""
+def check_not_negative(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> jax.Array:
+    """Convert to an array of one of the shapes. Raise InputError if an entry is negative."""
     x = check_array(where, name, value, *shapes)
     known = known_array(x)
-    if known is not None and (known < least).any():
-        raise InputError(
-            f"{where}: {name} is {known.tolist()}, expected numbers of at least {least:g}"
-        )
+    if known is not None and (known < 0).any():
+        raise InputError(f"{where}: {name} is {known.tolist()}, expected numbers of at least 0")
     return x
 
 

@@ -24,7 +24,7 @@ from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least, check_rotation
+from rbjax.kinematics.arguments import check_not_negative, check_rotation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul
 from rbjax.model import WORLD, Frame, Model, prepare
 from rbjax.model.leaves import site_transform
@@ -92,7 +92,7 @@ class Goal(Record):
         self.rotation = given("rotation", rotation, 3, 3)
         self.direction = given("direction", direction, 3)
         self.axis, self.point = given("axis", axis, 3), given("point", point, 3)
-        self.weight = check_at_least("Goal", "weight", weight, ())
+        self.weight = check_not_negative("Goal", "weight", weight, ())
         for name in ("direction", "axis"):
             _check_length(name, getattr(self, name))
         check_rotation("Goal", self.rotation)
@@ -167,7 +167,8 @@ class GoalErrors:
             self._rows(goal, False, e, path, lambda spin, slip: slip(p))
 
     def _frame(self, goal: Goal) -> tuple[int, Vec3, Mat3]:
-        """Return the link that carries the frame, and its point and attitude in link axes."""
+        """Return the link that carries the frame, and the frame's origin and orientation in link
+        axes."""
         model, d = self.model, self._d
         like = jnp.zeros(0, self.dtype)
         link, r = locate_on_link("Goal", model, d, like, Frame(goal.body, goal.point, goal.site))

@@ -27,7 +27,7 @@ from rbjax.dynamics.arguments import (
 )
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least, check_bound, check_several
+from rbjax.kinematics.arguments import check_bound, check_not_negative, check_several
 from rbjax.kinematics.goals import Goal, errors
 from rbjax.kinematics.joint_ranges import Ranges
 from rbjax.kinematics.position_level import check_frames
@@ -107,8 +107,8 @@ def differential_inverse_kinematics(
     check_frames(WHERE, model, goals)
     q = check_array(WHERE, "q", q, (model.nq,))
     check_quaternions(WHERE, "q", model, q)
-    rate = check_at_least(WHERE, "rate", rate, ()).astype(q.dtype)
-    damping = check_at_least(WHERE, "damping", damping, ()).astype(q.dtype)
+    rate = check_not_negative(WHERE, "rate", rate, ()).astype(q.dtype)
+    damping = check_not_negative(WHERE, "damping", damping, ()).astype(q.dtype)
     most = _speeds(speed, model.nv, q.dtype)
     v0 = jnp.zeros(model.nv, q.dtype)
     if rest is not None:

@@ -23,6 +23,7 @@ from rbjax.lanes.algebra import (
     neg,
     quaternion_matrix,
     rotation_z,
+    safe_sqrt,
     sub,
     total,
 )
@@ -69,6 +70,7 @@ __all__ = [
     "polynomial_sincos",
     "quaternion_matrix",
     "rotation_z",
+    "safe_sqrt",
     "sincos",
     "sub",
     "total",

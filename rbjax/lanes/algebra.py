@@ -8,6 +8,8 @@ tracing. The program contains no `dot`, so float32 products have full precision 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -26,6 +28,16 @@ def is_literal(x: Lane) -> bool:
 def is_zero(x: Lane) -> bool:
     """Return True if the lane is a structural zero."""
     return isinstance(x, (int, float)) and x == 0
+
+
+def safe_sqrt(x: Lane) -> Lane:
+    """Compute sqrt(x), or 0 if x <= 0, with the derivative 0 there. A literal stays a literal."""
+    if is_literal(x):
+        return math.sqrt(max(x, 0.0))
+    x = jnp.asarray(x)
+    none = x <= 0
+    root = jnp.sqrt(lax.select(none, jnp.ones_like(x), x))
+    return lax.select(none, jnp.zeros_like(x), root)
 
 
 def neg(a: Lane) -> Lane:
@@ -166,6 +178,10 @@ class Vec3(Lanes):
         return Vec3(*(mul(scalar, a) for a in self))
 
     __rmul__ = __mul__
+
+    def entrywise(self, other: Iterable[Lane]) -> Vec3:
+        """Compute the entrywise product with another vector."""
+        return Vec3(*map(mul, self, other))
 
     def norm(self, least: float = 0.0) -> Lane:
         """Compute sqrt(|v|^2 + least^2), which is smooth at v = 0 if least > 0."""

@@ -20,12 +20,9 @@ import jax.numpy as jnp
 
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Moving, Program, traced
-from rbjax.compiler.jax.saved import SavedVjp
+from rbjax.compiler.jax.saved import HELD_UP_TO, SavedVjp
 
 Arrays = tuple[jax.Array, ...]
-
-#: bytes of its own memory that a thread may use for the residuals of recomputed steps
-HELD_UP_TO = 16 * 1024
 
 
 @dataclass(frozen=True)

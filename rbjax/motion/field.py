@@ -237,13 +237,19 @@ class Field:
         return within(self.precomputed, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
-        """Compute the rate of an increment u at velocity v: u' = J_r(u)^-1 v on attitudes."""
+        """Compute the rate of an increment u at velocity v: J_r(u)^-1 v for free and ball joints,
+        v for other dofs."""
         return increment_rate(self.precomputed, u, v)
 
 
 def moves_stages(dynamics: Any) -> TypeGuard[Formulation]:
     """Check whether a dynamics projects the state of a stage before its rates are evaluated."""
     return isinstance(dynamics, Formulation) and isinstance(dynamics.projection, StageProjection)
+
+
+def gives_velocities(dynamics: Any) -> TypeGuard[VelocityDynamics]:
+    """Check whether a dynamics gives the velocity after a step, and no accelerations."""
+    return isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
 
 
 def with_contact(where: str, model: Model, dynamics: Any, contact: Any) -> Any:
@@ -283,7 +289,7 @@ def dynamics_of(
         if law is None:
             return formulation_of(where, model, constraints) or dynamics
         dynamics = law_of(where, model, law)
-    if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
+    if gives_velocities(dynamics):
         if not steps:
             raise InputError(
                 f"{where}: {type(dynamics).__name__} maps forces to the velocity after a step, and "

@@ -27,7 +27,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, VelocityDynamics, free_motion
+from rbjax.motion.field import Field, VelocityDynamics, free_motion, gives_velocities
 from rbjax.motion.implicit import ByStages, tableau_of
 from rbjax.motion.implicit_velocity import ImplicitVelocity
 from rbjax.motion.solver_report import reports
@@ -127,8 +127,11 @@ def integrator_of(
         return ByStages(formulation, tableau_of(where, formulation, integrator))
     if integrator is None:
         integrator = default_integrator(dynamics, model)
-    velocities = isinstance(dynamics, VelocityDynamics) and not callable(dynamics)
-    if velocities and isinstance(integrator, str) and integrator != "semi_implicit_euler":
+    if (
+        gives_velocities(dynamics)
+        and isinstance(integrator, str)
+        and integrator != "semi_implicit_euler"
+    ):
         raise InputError(
             f"{where}: integrator {integrator!r} evaluates accelerations, and "
             f"{type(dynamics).__name__} gives the velocity after a step; expected "
@@ -158,7 +161,7 @@ def default_integrator(
     """
     if isinstance(dynamics, SoftContact) and model is not None and model.solver is not None:
         return model.solver.integrator
-    if isinstance(dynamics, VelocityDynamics) and not callable(dynamics):
+    if gives_velocities(dynamics):
         return "semi_implicit_euler"
     return smooth
 

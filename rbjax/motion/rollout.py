@@ -25,6 +25,7 @@ from rbjax.arguments import integer
 from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.impact_bias import warn_of_impacts
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.dynamics.tracing.devices import memory_share
@@ -170,6 +171,9 @@ def rollout(
     if not isinstance(path.ok, jax.core.Tracer):
         _warn_if_not_finite(model, path, step, dynamics)
         warn_if_unconverged("rollout", path, dynamics)
+    if (path.q.shape[-2] - 1) * save_every > 1:
+        q, v = warn_of_impacts("rollout", model, dynamics, path.q, path.v)
+        path = dataclasses.replace(path, q=q, v=v)
     return path
 
 

@@ -16,6 +16,7 @@ from rbjax.arguments import integer
 from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.impact_bias import warn_of_impacts
 from rbjax.dynamics.arguments import (
     check_arrays,
     check_moves,
@@ -183,7 +184,8 @@ def simulate(
             "trajectory and its result; if no step helps, check that rb.mass_matrix of the state "
             "is not singular (a joint that moves no mass)",
         )
-    out = Trajectory(ts, q, path.v, ok, result, stats, path.x, report=report)
+    q, v = warn_of_impacts("simulate", model, dynamics, q, path.v)
+    out = Trajectory(ts, q, v, ok, result, stats, path.x, report=report)
     warn_if_unconverged("simulate", out, dynamics)
     return out
 

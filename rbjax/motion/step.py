@@ -11,7 +11,11 @@ import numpy as np
 
 from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.coulomb import CoulombContact
+from rbjax.contact.impact_bias import warn_of_impacts
+from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.inputs import Inputs, Source, inputs_at
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State
@@ -25,6 +29,9 @@ from rbjax.motion.field import (
 )
 from rbjax.motion.integrators import Integrator, advance_state, integrator_of
 from rbjax.motion.solver_report import warn_if_unconverged
+
+#: the end of the warning of derivatives through impacts
+ONE_STEP = ", or take rb.linearise if the motion is one step"
 
 
 def acceleration(
@@ -143,8 +150,16 @@ def step(
         (2,)
     """
     given = inputs_at("step", model, Inputs(ctrl, tau, wrenches), t, state)
+
+    def law() -> Any:
+        found = with_contact("step", model, dynamics, contact)
+        return dynamics_of("step", model, found, None, steps=True)
+
     contacts = contact is not None or dynamics is not free_motion or getattr(model, "contact", None)
     watched = contacts and not inside_jit() and isinstance(state, State) and state.report is None
+    if contacts and isinstance(state, State) and is_traced((state.q, state.v)):
+        q, v = warn_of_impacts("step", model, law(), state.q, state.v, advice=ONE_STEP)
+        state = state.replace(q=q, v=v)
     if watched:
         report: Any = np.zeros(2)  # a compiled function accepts it faster than a JAX array
         state = State(state.q, state.v, state.x, state.memory, report)
@@ -154,14 +169,17 @@ def step(
     )  # fmt: skip
     if not watched:
         return after
-    law = dynamics_of(
-        "step", model, with_contact("step", model, dynamics, contact), None, steps=True
-    )
-    warn_if_unconverged("step", after, law)
+    warn_if_unconverged("step", after, law())
     return State(after.q, after.v, after.x, after.memory)
 
 
-@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step")
+def _solves(model: Model, *args: Any, contact: Any, dynamics: Any, **others: Any) -> bool:
+    """Check whether a step solves a contact problem."""
+    own = model.contact if dynamics is free_motion else None
+    return (contact or own) is not None or isinstance(dynamics, SoftContact | CoulombContact)
+
+
+@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step", saves=_solves)
 def _step(
     model: Model, state: State, ctrl: Any = None, dt: Any = None, tau: Any = None,
     wrenches: Any = None, *, t: Any = 0.0, integrator: Any = None, dynamics: Any = free_motion,

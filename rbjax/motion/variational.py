@@ -170,7 +170,8 @@ def residual(
 def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
     """Compute the momentum after the step, p1 = E (E p0 + h F).
 
-    On attitudes E rotates by minus half the rotation of the step. Elsewhere it is 1.
+    For the angular velocities of free and ball joints E rotates by minus half the rotation of the
+    step. For other dofs it is 1.
     `half` is h / 2, and `force` is F.
     """
 
@@ -182,7 +183,8 @@ def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Ar
 
 
 def with_spin(top: Topology, w: jax.Array, p: jax.Array, rate: jax.Array) -> jax.Array:
-    """Compute the force F at the midpoint: p' + w x p on attitudes, p' elsewhere."""
+    """Compute the force F at the midpoint: p' + w x p for the angular velocities of free and ball
+    joints, p' for other dofs."""
     return _on_attitudes(top, rate, lambda w, p, rate: rate + w.cross(p), w, p, rate)
 
 

@@ -58,7 +58,7 @@ class Manoeuvre(HalvedSteps):
         return with_twist(model, self.q, self.twist)
 
     def control(self, t: Any, step: Any, state: State) -> jax.Array:
-        """Return the controls (nu,) at time t, in a step of dt with a given index."""
+        """Return the controls (nu,) at time t, which is within the step of index `step`."""
         if callable(self.controls):
             return jnp.asarray(self.controls(t, state), jnp.float64)
         return self.controls[jnp.minimum(step, len(self.controls) - 1)]

@@ -81,11 +81,6 @@ def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     return where(x < 0, half_turn - right, right)
 
 
-def length(square: jax.Array) -> jax.Array:
-    """Compute the square root, with a finite derivative at 0."""
-    return where(square > 0, jnp.sqrt(where(square > 0, square, 1.0)), 0.0)
-
-
 def away_from_zero(x: jax.Array) -> jax.Array:
     """Return x, or a tiny number of the same sign if |x| is smaller, as a divisor.
 

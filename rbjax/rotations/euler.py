@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3, add, mul, neg, sincos, sub
+from rbjax.lanes import Mat3, Vec3, add, mul, neg, safe_sqrt, sincos, sub
 from rbjax.rotations.arguments import stacked
-from rbjax.rotations.coefficients import angle, away_from_zero, length, where
+from rbjax.rotations.coefficients import angle, away_from_zero, where
 
 AXES = "xyz"
 SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz")
@@ -77,8 +77,8 @@ class EulerAngles:
         sums, differs = sum_square > least, difference_square > least
         w, x = where(sums, w, 1.0), where(sums, x, 0.0)
         y, z = where(differs, y, 1.0), where(differs, z, 0.0)
-        sine = [x * y + w * z, length(difference_square), x * y - w * z]
-        cosine = [w * y - x * z, length(sum_square), w * y + x * z]
+        sine = [x * y + w * z, safe_sqrt(difference_square), x * y - w * z]
+        cosine = [w * y - x * z, safe_sqrt(sum_square), w * y + x * z]
         factor, shift = [1.0, 2.0, 1.0], [0.0, 0.0, 0.0]
         if not self.proper:
             factor, shift[1] = [1.0, 2 * sign, -1.0], -sign * jnp.pi / 2

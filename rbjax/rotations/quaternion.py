@@ -11,13 +11,13 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes import safe_sqrt
 from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
     arctan_over,
     inverse_left_jacobian,
     inverse_right_jacobian,
     left_jacobian,
-    length,
     right_jacobian,
     stumpff,
     where,
@@ -216,7 +216,7 @@ def log_lanes(q: list) -> list:
 def angle_lanes(w: jax.Array, u: list) -> jax.Array:
     """Compute the rotation angle, from 0 to pi, of a quaternion (w, u) of any nonzero length."""
     square = sum(x * x for x in u)
-    return 2 * length(square) * arctan_over(w * _sign(w), square)
+    return 2 * safe_sqrt(square) * arctan_over(w * _sign(w), square)
 
 
 def turned(q: list, phi: list) -> list:

@@ -11,13 +11,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3, quaternion_matrix, sincos
+from rbjax.lanes import Mat3, Vec3, quaternion_matrix, safe_sqrt, sincos
 from rbjax.rotations import quaternion
 from rbjax.rotations.coefficients import (
     angle,
     arctan_over,
     away_from_zero,
-    length,
     polynomial,
     where,
 )
@@ -95,7 +94,7 @@ class AxisAngle:
     def to_quaternion(self, x: list) -> list:
         *n, phi = x
         c, s = sincos(phi / 2)
-        return [c * length(sum(a * a for a in n)), *(s * a for a in n)]
+        return [c * safe_sqrt(sum(a * a for a in n)), *(s * a for a in n)]
 
     def from_quaternion(self, q: list) -> list:
         """Return axis and angle, from 0 to pi. The axis is x if the angle is 0."""
@@ -109,7 +108,7 @@ class AxisAngle:
         by = sign / jax.lax.stop_gradient(where(turns, largest, 1.0))
         v = [a * by for a in u]
         shrink = jax.lax.rsqrt(sum(a * a for a in v))
-        return [*(a * shrink for a in v), 2 * length(square) * arctan_over(w * sign, square)]
+        return [*(a * shrink for a in v), 2 * safe_sqrt(square) * arctan_over(w * sign, square)]
 
     def body_rate(self, x: list) -> list:
         return self._rate(x, -1.0)
@@ -227,15 +226,15 @@ class TwoColumns:
         """Return the angle between the lines of the two vectors, from 0 to pi/2."""
         a, b = Vec3(*x[:3]), Vec3(*x[3:])
         c = a.cross(b)
-        return angle(length(c.dot(c)), jnp.abs(a.dot(b)))
+        return angle(safe_sqrt(c.dot(c)), jnp.abs(a.dot(b)))
 
     def _frame(self, x: list):
         a1, a2 = Vec3(*x[:3]), Vec3(*x[3:])
-        n = away_from_zero(length(a1.dot(a1)))
+        n = away_from_zero(safe_sqrt(a1.dot(a1)))
         b1 = (1 / n) * a1
         along = b1.dot(a2)
         across = a2 - along * b1
-        m = away_from_zero(length(across.dot(across)))
+        m = away_from_zero(safe_sqrt(across.dot(across)))
         b2 = (1 / m) * across
         return (b1, b2, b1.cross(b2)), (n, m), along
 

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, safe_sqrt
 from rbjax.rotations.arguments import entries, stacked, takes
-from rbjax.rotations.coefficients import length
 
 __all__ = [
     "Screw", "from_twist", "to_twist",
@@ -45,7 +44,7 @@ def from_twist(twist: jax.Array) -> Screw:
     square, straight = omega.dot(omega), v.dot(v)
     turns, slides = square > 0, straight > 0
     safe = jnp.where(turns, square, 1.0)
-    magnitude = jnp.where(turns, length(square), length(straight))
+    magnitude = jnp.where(turns, safe_sqrt(square), safe_sqrt(straight))
     shrink = 1 / jnp.where(turns | slides, magnitude, 1.0)
     still = (0.0, 0.0, 1.0)
     axis = [

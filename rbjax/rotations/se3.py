@@ -15,14 +15,13 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3, quaternion_matrix
+from rbjax.lanes import Mat3, Vec3, quaternion_matrix, safe_sqrt
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
 from rbjax.rotations.coefficients import (
     inverse_jacobian_coefficient,
     inverse_left_lanes,
     left_lanes,
-    length,
     stumpff,
 )
 
@@ -127,7 +126,7 @@ def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
     (R, p), (S, r) = pose_parts(A), pose_parts(B)
     w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
     d = r - p
-    return quaternion.angle_lanes(w, u), length(d.dot(d))
+    return quaternion.angle_lanes(w, u), safe_sqrt(d.dot(d))
 
 
 @takes(T="pose")

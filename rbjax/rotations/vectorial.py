@@ -24,13 +24,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes import safe_sqrt
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
     arctan_over,
     away_from_zero,
     inverse_jacobian_coefficient,
-    length,
     polynomial,
     stumpff,
     where,
@@ -106,7 +106,7 @@ def _norm(w: jax.Array, u: list) -> jax.Array:
 
 def _cosine(s: jax.Array) -> jax.Array:
     """Compute sqrt(1 - s), or a tiny positive number if s >= 1."""
-    return away_from_zero(length(jnp.maximum(1 - s, 0.0)))
+    return away_from_zero(safe_sqrt(jnp.maximum(1 - s, 0.0)))
 
 
 def _euler_vector() -> Vectorial:
@@ -119,7 +119,7 @@ def _euler_vector() -> Vectorial:
         parameter=lambda w, u: 2 * arctan_over(w, _square(u)),
         map=stumpff_map,
         inverse_map=lambda s: (1.0, inverse_jacobian_coefficient(s)),
-        angle=length,
+        angle=safe_sqrt,
         singular_angle=2 * jnp.pi,
         singular_set="the vector has length 2 pi: rates orthogonal to it rotate nothing",
         short=False,
@@ -140,7 +140,7 @@ def _linear() -> Vectorial:
         parameter=lambda w, u: 2 * w / (w * w + _square(u)),
         map=linear_map,
         inverse_map=linear_inverse,
-        angle=lambda s: length(s) * arctan_over(_cosine(s), s),
+        angle=lambda s: safe_sqrt(s) * arctan_over(_cosine(s), s),
         singular_angle=jnp.pi / 2,
         singular_set="a quarter turn; larger turns have no parameter",
     )
@@ -156,7 +156,7 @@ def _reduced_euler_rodrigues() -> Vectorial:
         parameter=lambda w, u: 2 / _norm(w, u),
         map=reduced_map,
         inverse_map=lambda s: (_cosine(s / 4), 0.0),
-        angle=lambda s: length(s) * arctan_over(_cosine(s / 4), s / 4),
+        angle=lambda s: safe_sqrt(s) * arctan_over(_cosine(s / 4), s / 4),
         singular_angle=jnp.pi,
         singular_set="half a turn",
     )
@@ -172,7 +172,7 @@ def _cayley(scale: float) -> Vectorial:
         parameter=lambda w, u: 2 / away_from_zero(w),
         map=cayley_map,
         inverse_map=lambda s: (1 + s / 4, 0.25),
-        angle=lambda s: length(s) * arctan_over(jnp.ones_like(s), s / 4),
+        angle=lambda s: safe_sqrt(s) * arctan_over(jnp.ones_like(s), s / 4),
         singular_angle=jnp.pi,
         singular_set="half a turn, where the parameter is infinite",
         scale=scale,
@@ -189,7 +189,7 @@ def _wiener_milenkovic(scale: float) -> Vectorial:
         parameter=lambda w, u: 4 / (w + _norm(w, u)),
         map=milenkovic_map,
         inverse_map=lambda s: (1 + s / 16, 0.125),
-        angle=lambda s: length(s) * arctan_over(jnp.ones_like(s), s / 16),
+        angle=lambda s: safe_sqrt(s) * arctan_over(jnp.ones_like(s), s / 16),
         singular_angle=2 * jnp.pi,
         singular_set="a full turn, where the parameter is infinite; its shadow is near zero there",
         scale=scale,

@@ -55,7 +55,10 @@ class Columns:
         return jnp.concatenate(parts)
 
     def weights(self, w: jax.Array) -> jax.Array:
-        """Convert weights (..., n) of readings to weights of differences."""
+        """Convert weights (..., n) of readings to weights of the entries of `minus`.
+
+        A quaternion has 4 columns, and a difference of 3 entries with the least of their weights.
+        """
         if not self.turns:
             return w
         parts = []

@@ -21,7 +21,7 @@ from rbjax.arguments import integer
 from rbjax.contact.contact_forces import ContactForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
-from rbjax.lanes import Vec3
+from rbjax.lanes import Vec3, safe_sqrt
 from rbjax.lanes.arrays import matvec
 from rbjax.model import WORLD, Frame, Model
 from rbjax.sensors.columns import Columns
@@ -131,9 +131,11 @@ class ContactSensor(FixedSensor):
         """Return the candidates between both parts in the order of the pairs of the model, with -1
         for those whose geoms are in the other order, else 1."""
         geoms: Any = model.geoms
-        place = {pair: k for k, pair in enumerate(geoms.pairs)}
+        place = {pair: k for k, pair in enumerate(geoms.pairs)}  # a law may have other pairs
         rows, signs = [], []
-        order = sorted(range(len(contacts.geoms)), key=lambda row: place[contacts.geoms[row]])
+        order = sorted(
+            range(len(contacts.geoms)), key=lambda row: place.get(contacts.geoms[row], len(place))
+        )
         for row in order:
             a, b = contacts.geoms[row]
             for one, other, sign in ((a, b, 1.0), (b, a, -1.0)):
@@ -200,9 +202,7 @@ class ContactSensor(FixedSensor):
     ) -> dict[str, jax.Array]:
         """Return the sum of all contacts as the data of one slot."""
         force, torque, position = values["world"][:, :3], values["world"][:, 3:], values["pos"]
-        square = (force**2).sum(1)
-        pushes = active & (square > 0)
-        weight = jnp.where(pushes, jnp.sqrt(jnp.where(pushes, square, 1.0)), 0.0)
+        weight = jnp.where(active, safe_sqrt((force**2).sum(1)), 0.0)
         total = weight.sum()
         some = total > 0
         center = jnp.where(

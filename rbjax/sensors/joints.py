@@ -14,12 +14,12 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, inner, is_literal
+from rbjax.forces.joints.limits import is_infinite
+from rbjax.lanes import Lane, inner, safe_sqrt
 from rbjax.lanes.arrays import select
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -225,14 +225,13 @@ class JointLimitSensor(OneJointSensor):
         if joint.kind == "ball":
             turn = quaternion.log_lanes(list(joint.q))
             square = inner(turn, turn)
-            some = square > 0
-            angle = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+            some, angle = square > 0, safe_sqrt(square)
             scale = jnp.where(some, -1 / jnp.where(some, angle, 1.0), 0.0)
-            return [] if _infinite(high) else [(high - angle, [x * scale for x in turn])]
+            return [] if is_infinite(high) else [(high - angle, [x * scale for x in turn])]
         found: list[tuple[Lane, list[Lane]]] = []
-        if not _infinite(low):
+        if not is_infinite(low):
             found.append((joint.q[0] - low, [1.0]))
-        if not _infinite(high):
+        if not is_infinite(high):
             found.append((high - joint.q[0], [-1.0]))
         return found
 
@@ -263,10 +262,6 @@ class JointLimitVelocity(JointLimitSensor):
     def __call__(self, context: Context) -> jax.Array:
         v = context.joint(self.joint).v
         return self.nearest(context, lambda _, slope: inner(slope, v))
-
-
-def _infinite(x: Lane) -> bool:
-    return is_literal(x) and bool(np.isinf(x))
 
 
 class CustomSensor(Record):

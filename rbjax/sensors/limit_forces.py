@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from rbjax.contact.rows.scalar_row import LIMIT
 from rbjax.forces.context import Context, JointState
 from rbjax.forces.joints.limits import JointLimits
-from rbjax.lanes import Lane, inner
+from rbjax.lanes import Lane, inner, safe_sqrt
 from rbjax.sensors.actuators import TendonLimitSensor
 from rbjax.sensors.fixed import reading
 from rbjax.sensors.joints import JointLimitSensor
@@ -32,9 +32,7 @@ class JointLimitForce(JointLimitSensor):
     def __call__(self, context: Context) -> jax.Array:
         joint = context.joint(self.joint)
         total = [sum_of(context, joint, k) for k in range(len(joint.v))]
-        square = inner(total, total)
-        some = square > 0
-        force = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+        force = safe_sqrt(inner(total, total))
         solved = _force_of_rows(context, "joint", context.model.joint(self.joint))
         return reading(context, [force + solved])
 
@@ -42,7 +40,7 @@ class JointLimitForce(JointLimitSensor):
 @register("tendonlimitfrc", placed=True)
 class TendonLimitForce(TendonLimitSensor):
     """Measure the force of a tendon limit of the contact solver, which is not negative; zero if
-    the dynamics is not soft contact."""
+    the dynamics is not a contact law."""
 
     of, clipped = "N", "above"
 

@@ -16,7 +16,13 @@ from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs, Source, inputs_at
 from rbjax.model import Model, State
-from rbjax.motion.field import Dynamics, dynamics_of, free_motion
+from rbjax.motion.field import (
+    Dynamics,
+    VelocityDynamics,
+    dynamics_of,
+    free_motion,
+    with_contact,
+)
 from rbjax.motion.trajectory import Trajectory
 from rbjax.sensors.solution import with_solution
 
@@ -30,8 +36,10 @@ def sense(
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
     t: Any = 0.0,
-    dynamics: Dynamics = free_motion,
+    dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,
+    contact: Any = None,
+    dt: Any = None,
 ) -> Any:
     """Return the readings of all sensors of a model, as MuJoCo's sensordata.
 
@@ -49,9 +57,14 @@ def sense(
         wrenches: (nb, 6) [moment N m; force N] on bodies, in world axes at their origins. Each of
             ctrl, tau and wrenches may be a function (t, state).
         t: time in s.
-        dynamics: map from forces to accelerations (`rbjax.motion.field.Dynamics`), for sensors of
-            accelerations and forces.
+        dynamics: map from forces to accelerations, or to the velocity after a step
+            (`rbjax.motion.field.Dynamics`, `VelocityDynamics`), for sensors of accelerations and
+            forces.
         constraints: how to enforce the constraints of the model, as in `rollout`.
+        contact: law of contact, a name of `rbjax.contact.laws`; None for the law of the model. The
+            laws "coulomb" and "impulse" give the mean acceleration and the mean forces of the step
+            that begins at the state, with its memory (`State.memory`).
+        dt: step in s of force elements and contact laws; None for the model's timestep.
 
     Returns:
         (n,), or (T, n) and (B, T, n) for a trajectory; with `named`, a dict of such arrays.
@@ -69,7 +82,8 @@ def sense(
         (3,)
     """
     flag("sense", "named", named)
-    how: dict[str, Any] = {"dynamics": dynamics, "constraints": constraints}
+    how: dict[str, Any] = {"dynamics": dynamics, "constraints": constraints, "contact": contact}
+    how["dt"] = dt
     if isinstance(state, Trajectory):
         values = _along(model, state, Inputs(ctrl, tau, wrenches), how)
     else:
@@ -78,16 +92,18 @@ def sense(
     return _by_name(model, values) if named else values
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", where="sense")
+@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="sense")
 def _sense(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
-    *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None,
+    *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None, contact: Any = None,
+    dt: Any = None,
 ) -> jax.Array:  # fmt: skip
     if not model.sensors:
         return jnp.zeros(0, state.q.dtype)
-    dynamics = dynamics_of("sense", model, dynamics, constraints)
-    context = Context.of(model, t, state, ctrl)
-    context = with_solution(context, Inputs(ctrl, tau, wrenches), dynamics)
+    dynamics = with_contact("sense", model, dynamics, contact)
+    dynamics = dynamics_of("sense", model, dynamics, constraints, steps=True)
+    context, inputs = Context.of(model, t, state, ctrl, dt), Inputs(ctrl, tau, wrenches)
+    context = with_solution(context, inputs, dynamics, state.memory)
     return jnp.concatenate([sensor(context) for sensor in model.sensors])
 
 

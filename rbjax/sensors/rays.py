@@ -43,9 +43,9 @@ def sphere(p: Vec3, d: Vec3, size: Vec3) -> Hit:
 def ellipsoid(p: Vec3, d: Vec3, size: Vec3) -> Hit:
     """Return the hit of an ellipsoid with the semi-axes size."""
     inverse = Vec3(*(1 / x for x in size))
-    p1, d1 = _times(p, inverse), _times(d, inverse)
+    p1, d1 = p.entrywise(inverse), d.entrywise(inverse)
     s = _first(*_roots(d1.dot(d1), p1.dot(d1), p1.dot(p1) - 1.0))
-    return Hit(s, _unit(_times(p1 + d1 * _finite(s), inverse)))
+    return Hit(s, _unit((p1 + d1 * _finite(s)).entrywise(inverse)))
 
 
 def plane(p: Vec3, d: Vec3, size: Vec3) -> Hit:
@@ -150,10 +150,6 @@ def _nearer(best: Hit, s: Lane, normal: Vec3) -> Hit:
 
 def _finite(s: Lane) -> Lane:
     return jnp.where(jnp.isfinite(s), s, 0.0)
-
-
-def _times(a: Vec3, b: Vec3) -> Vec3:
-    return Vec3(*(x * y for x, y in zip(a, b, strict=True)))
 
 
 def _unit(v: Vec3) -> Vec3:

@@ -15,14 +15,16 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.reactions import body_reactions
+from rbjax.contact.registry import Law
 from rbjax.contact.rows.scalar_row import EQUALITY
-from rbjax.contact.soft import SoftContact
 from rbjax.contact.solution import ContactSolution
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Vec3, fusion_barrier
 from rbjax.lanes.arrays import unpack
-from rbjax.motion.field import Field, dynamics_of, free_motion
+from rbjax.model import State
+from rbjax.motion.field import Field, dynamics_of, free_motion, gives_velocities
+from rbjax.motion.step import with_memory
 from rbjax.sensors.contact_forces import ContactForces, wrenches_of_contacts
 from rbjax.sensors.tendon_forces import wrenches_of_tendons
 from rbjax.spatial import Force
@@ -31,9 +33,10 @@ from rbjax.spatial import Force
 class Solution:
     """The accelerations of a robot at an instant, and the forces of its constraints and contacts.
 
-    The law of soft contact gives all of them by one solution. Another dynamics with contacts has a
-    method `contact_forces(model, t, state, tau, f_ext)` that returns `ContactForces`; without it no
-    contact force acts.
+    A contact law gives all of them by one solution. Those of a law of steps are of the step that
+    begins at the instant: the mean acceleration, and impulses divided by the step. Another dynamics
+    with contacts has a method `contact_forces(model, t, state, tau, f_ext)` that returns
+    `ContactForces`; without it no contact force acts.
     """
 
     def __init__(
@@ -42,28 +45,35 @@ class Solution:
         inputs: Inputs | None = None,
         dynamics: Any = None,
         *,
+        memory: jax.Array | None = None,
         contacts: ContactForces | None = None,
         acceleration: Any = None,
     ):
         self.context = context
         self.inputs = Inputs(context.ctrl) if inputs is None else inputs
-        self._dynamics, self._contacts, self._acceleration = dynamics, contacts, acceleration
+        self._dynamics, self._memory = dynamics, memory
+        self._contacts, self._acceleration = contacts, acceleration
 
     @cached_property
     def _field(self) -> Field:
         dynamics, model = self._dynamics, self.context.model
         if dynamics is None:
-            dynamics = dynamics_of("acceleration", model, free_motion, None)
+            dynamics = dynamics_of("acceleration", model, free_motion, None, steps=True)
         return Field(model, dynamics, self.context.dt)
 
     @cached_property
     def solved(self) -> ContactSolution | None:
-        """The solution of the contact problem, or None if the dynamics is not soft contact."""
+        """The solution of the contact problem, or None if the dynamics is not a contact law."""
         law, now = self._field.law, self.context
-        if not isinstance(law, SoftContact) or not now.model.nv:
+        if not isinstance(law, Law) or not now.model.nv:
             return None
         tau, f_ext, _ = self._field.applied(now.t, now.state, self.inputs)
-        return law.solve(self._field.precomputed, now.t, now.state, tau, f_ext)
+        return law.solve(self._field.precomputed, now.t, self._state, tau, f_ext, now.dt)
+
+    @property
+    def _state(self) -> State:
+        """The state with the memory of the dynamics."""
+        return self.context.state.replace(memory=self._memory)
 
     @cached_property
     def acceleration(self) -> jax.Array:
@@ -75,6 +85,10 @@ class Solution:
         now = self.context
         if not now.model.nv:
             return jnp.zeros(0, now.q.dtype)
+        if gives_velocities(self._field.dynamics):
+            state = with_memory(now.model, self._state, self._field.dynamics)
+            v, *_ = self._field.advance_velocity(now.t, state, self.inputs, now.h)
+            return (v - now.v) / now.h
         a, _ = self._field.rates(now.t, now.state, self.inputs)
         return jnp.stack(fusion_barrier(list(a)))
 
@@ -127,6 +141,12 @@ def solution_of(context: Context) -> Solution:
     return context.once(solution_of, lambda: Solution(context))
 
 
-def with_solution(context: Context, inputs: Inputs, dynamics: Any) -> Context:
-    """Return a copy of a context whose sensors read the motion of a dynamics under inputs."""
-    return dataclasses.replace(context, solution=Solution(context, inputs, dynamics))
+def with_solution(
+    context: Context, inputs: Inputs, dynamics: Any, memory: jax.Array | None
+) -> Context:
+    """Return a copy of a context whose sensors read the motion of a dynamics under inputs.
+
+    memory: of the dynamics before the step that begins at the instant; None for its first step.
+    """
+    solution = Solution(context, inputs, dynamics, memory=memory)
+    return dataclasses.replace(context, solution=solution)

@@ -31,6 +31,7 @@ from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled, inside_jit
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
+from rbjax.solvers.root_finding import stop_gradient
 from rbjax.solvers.tableau import of_diffrax
 
 DOPRI8 = of_diffrax(diffrax.Dopri8, 8)
@@ -141,8 +142,8 @@ def _solve(
 ) -> Arrival:  # fmt: skip
     """Compute the result of `integrate_until` from checked arguments."""
     steps = _locate(
-        _closed(f, start, y0, args), _closed(guard, start, y0, args), _constant(y0),
-        _constant(args), start, end, leaving, tolerance, max_steps,
+        _closed(f, start, y0, args), _closed(guard, start, y0, args), stop_gradient(y0),
+        stop_gradient(args), start, end, leaving, tolerance, max_steps,
     )  # fmt: skip
     y, ys = _replay(f, y0, args, start, steps, ts)
     t, y = _arrive(f, guard, steps.located, y, args, steps.reached)
@@ -180,15 +181,9 @@ class _Steps(NamedTuple):
     found: jax.Array
 
 
-def _constant(tree: Any) -> Any:
-    """Return a pytree whose arrays are constants under differentiation."""
-    arrays, rest = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.lax.stop_gradient(arrays), rest)
-
-
 def _closed(f: Callable, *example: Any) -> Callable:
     """Return a function f whose captured arrays are constants under differentiation."""
-    return _constant(eqx.filter_closure_convert(f, *example))
+    return stop_gradient(eqx.filter_closure_convert(f, *example))
 
 
 class _Trial(NamedTuple):
@@ -267,7 +262,7 @@ def _locate(
     event = last.halvings > 0
     located = jnp.where(at_once, start, jnp.where(event, last.t + last.high, last.t))
     ends = jnp.minimum(last.ends, located)
-    return _Steps(*_constant((ends, located, at_once | event, event | (last.t >= end))))
+    return _Steps(*stop_gradient((ends, located, at_once | event, event | (last.t >= end))))
 
 
 def _replay(

@@ -22,8 +22,9 @@ from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.contacts import closed_pairs
 from rbjax.loading.mjcf.fields import reason_left_out
 from rbjax.model import Model, State
+from rbjax.model.record import cast_floats
 from rbjax.motion.step import step
-from rbjax.validation.ours import cast, quick
+from rbjax.validation.ours import quick
 from rbjax.validation.reference import Array, Samples, loosen, random_samples
 
 #: tolerances of all quantities; the f32 forces of a stiff contact follow from rounded positions
@@ -115,7 +116,7 @@ def quantities(
             "one step": jnp.concatenate([after.q, after.v]),
         }, (found.iterations, found.converged)
 
-    model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
+    model, q, v, ctrl = cast_floats((model, samples.q, samples.v, samples.ctrl), dtype)
     run = jax.jit(jax.vmap(one), compiler_options=quick())
     out, (iterations, converged) = run(q, v, ctrl)
     name = "f64" if dtype == np.float64 else "f32"

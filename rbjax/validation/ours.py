@@ -17,6 +17,7 @@ from rbjax.dynamics import (
 )
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State
+from rbjax.model.record import cast_floats
 from rbjax.motion.rollout import rollout
 from rbjax.validation.reference import Array, Samples
 
@@ -36,7 +37,7 @@ def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
             "forward dynamics": forward_dynamics(model, q, v, tau),
         }
 
-    model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
+    model, q, v, ctrl = cast_floats((model, samples.q, samples.v, samples.ctrl), dtype)
     out = jax.jit(jax.vmap(one), compiler_options=quick())(q, v, ctrl)
     return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
@@ -57,7 +58,7 @@ def motion(
         first, last = ends(*args)
         return (last @ jnp.asarray(weights, dtype)).sum(), (first, last)
 
-    model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
+    model, q, v, ctrl = cast_floats((model, samples.q, samples.v, samples.ctrl), dtype)
     out: dict[str, Any] = {}
     if weights is None:
         first, last = jax.jit(ends, compiler_options=quick())(v, ctrl, q)
@@ -73,13 +74,3 @@ def motion(
 def quick() -> dict[str, Any]:
     """Return compiler options that minimise compile time, for programs that run once."""
     return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else {}
-
-
-def cast(tree: Any, dtype: Any) -> Any:
-    """Convert the floating arrays of a pytree to a dtype."""
-
-    def one(x: Any) -> Any:
-        floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
-        return jnp.asarray(x, dtype) if floating else x
-
-    return jax.tree.map(one, tree)

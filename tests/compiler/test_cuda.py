@@ -405,8 +405,8 @@ def test_rows_meet_few_conflicts(size):
 def test_elementwise_loops_run_in_groups():
     """Loops over arrays in memory: groups of 16 entries, and one loop for all axes.
 
-    The 600 entries of a sum along a scan are 37 groups of 16 turns and one of 8. The 14 by 6 entries
-    of an array that the loop also indexes by a variable are 5 groups of 16 and one of 4.
+    The 600 entries of a sum along a scan are 37 groups of 16 turns and one of 8. The 14 by 6
+    entries of an array that the loop also indexes by a variable are 5 groups of 16 and one of 4.
     """
 
     def copied(x):

@@ -91,3 +91,18 @@ def test_a_robot():
     found = explain(lambda q, v, a: rb.forward_dynamics(model, q, v, a), q, q, q)
     assert 10 < found.statements == found.operations < 300
     assert found.array_bytes == 0 and found.moved_bytes == 8 * 8
+
+
+def test_zeros_of_a_nested_jacobian_vanish():
+    """A batch of a program inside a program keeps entries that are zero in all samples."""
+
+    def times_jacobian(f):
+        def run(x, M):
+            return (M[:, :, None] * jax.jacfwd(f)(x)).sum(1)
+
+        return explain(run, X, np.ones((2, 3), np.float32))
+
+    def f(x):
+        return 3 * x + 1
+
+    assert times_jacobian(rb.threads(f)).operations == times_jacobian(f).operations

@@ -217,6 +217,15 @@ def test_nothing_is_traced_twice():
     assert len(calls) == count
 
 
+def test_nested_samples_take_their_own_iterations():
+    """A batch of loops inside a program, beside Python's loops."""
+    halved = compile_threads(lambda x: jax.lax.while_loop(lambda y: y > 1, lambda y: y / 2, x))
+    inside = compile_threads(lambda x: jax.vmap(halved)(x) + x)
+    found = jax.jit(jax.vmap(inside))(jnp.asarray([[0.5, 3.0, 40.0], [1000.0, 1.0, 7.0]]))
+    expected = [[0.5 + 0.5, 0.75 + 3, 0.625 + 40], [1000 / 1024 + 1000, 1 + 1, 0.875 + 7]]
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_without_a_gpu_threads_is_the_function():
     if not kernels_available():
         text = str(jax.make_jaxpr(threads(f))(X[0], Y[0]))

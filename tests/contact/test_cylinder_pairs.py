@@ -273,8 +273,8 @@ def test_derivatives(kind, dtype) -> None:
     )
     if dtype == jnp.float64:
         there, back = (f(p, R, h * dx, dx)[0] for h in (1e-6, -1e-6))
-        error = np.abs((there - back) / 2e-6 - slope)[np.arange(30) % 3 > 0][:-2]
-        assert (error[:, CERTAIN].max(1) < 1e-5).mean() > 0.9, np.sort(error.max(1))  # not parallel
+        error = np.abs((there - back) / 2e-6 - slope)[:26]
+        assert (error[np.arange(26) % 3 > 0] < 1e-5).all()  # axes that are not parallel
 
 
 def test_a_cylinder_rests_on_a_box() -> None:

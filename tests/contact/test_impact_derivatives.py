@@ -108,7 +108,9 @@ def test_the_bias_of_a_soft_contact_at_touch():
     t_c = (np.pi - np.arctan2(2 * beta * w, w**2 - beta**2)) / w
     e = np.exp(-beta * t_c)
     expected = -e - c * e * (T - h - t_c - c / k)
-    np.testing.assert_allclose(slope(jnp.zeros(())), expected, rtol=0.02)
+    with pytest.warns(UserWarning, match="step: a derivative .* biased at any step size"):
+        found = slope(jnp.zeros(()))
+    np.testing.assert_allclose(found, expected, rtol=0.02)
     assert abs(expected + e) > 5 * e
 
 

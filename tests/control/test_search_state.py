@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
+from rbjax.control.optimal.objective import Multipliers
 from rbjax.control.optimal.shooting.search import (
     LEAST,
     LENGTHS,
     MOST,
     IterationValues,
+    cost_noise,
     count_stalled,
     decide,
     initial_search_state,
@@ -112,6 +114,33 @@ def test_short_steps_raise_the_regularisation(constrained, a, rises):
     found = decide(accept, True, constrained, now, rule, values)
     assert found.accepted and found.length == a
     assert found.search.reg == LEAST * (10 if rises else 1)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_decrease_within_the_rounding_of_the_constraints_is_none(dtype):
+    """A multiplier of 400 turns a rounding error of a constraint into 400 times of it."""
+    number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
+    eps, n = float(jnp.finfo(dtype).eps), len(LENGTHS)
+
+    @jax.jit
+    def status(share, reg):
+        multipliers = Multipliers(jnp.zeros((3, 2), dtype), number([240, 320]), number(10))
+        noise = cost_noise(multipliers)
+        rule = StoppingRule(number(0), number(1e-6), number(100), number(1))
+        now = initial_search_state(rule, True, number(10))._replace(
+            feasible=jnp.asarray(True), inner_tolerance=number(10 * eps), reg=number(reg)
+        )
+        values = IterationValues(
+            number(9), number(0), number(0), number(-1), number(1), number(1), jnp.asarray(True),
+            jnp.full(n, 9, dtype), jnp.zeros(n, dtype), None, noise,
+        )  # fmt: skip
+        accept = lambda values, lengths: (lengths > 1, share * noise)  # noqa: E731
+        return decide(accept, True, True, now, rule, values).search.status, noise
+
+    np.testing.assert_allclose(status(0.5, LEAST)[1], 10 * eps * 400, rtol=10 * eps)
+    assert status(0.5, LEAST)[0] == CONVERGED
+    assert status(2.0, LEAST)[0] == GOING
+    assert status(0.5, 1.0)[0] == GOING  # with regularisation the gradient has to be small too
 
 
 def at_rest(violation, before, penalty, **changes):

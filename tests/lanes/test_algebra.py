@@ -97,3 +97,19 @@ def test_pytrees_and_literals_in_them() -> None:
     assert repr(Vec3(0.0, 1.0, 2.0)) == "Vec3(0.0, 1.0, 2.0)" and v[2] == 2.0
     out = lanes.as_arrays(v, jnp.zeros(5, jnp.float32))
     assert all(a.shape == (5,) and a.dtype == jnp.float32 for a in out)
+
+
+def test_safe_sqrt_has_finite_derivatives_at_zero_and_keeps_nan() -> None:
+    x = jnp.array([4.0, 1e-300, 0.0, -0.0, -1.0, jnp.inf, jnp.nan])
+    want = np.array([2.0, 1e-150, 0.0, 0.0, 0.0, np.inf, np.nan])
+    np.testing.assert_array_equal(np.asarray(lanes.safe_sqrt(x)), want)
+    slope = jax.grad(lambda x: lanes.safe_sqrt(x).sum())(x[:5])
+    np.testing.assert_allclose(slope, [0.25, 5e149, 0.0, 0.0, 0.0], rtol=1e-12)
+    assert lanes.safe_sqrt(9.0) == 3.0 and isinstance(lanes.safe_sqrt(9.0), float)
+    assert lanes.safe_sqrt(-1) == 0.0
+
+
+def test_entrywise_product_keeps_structural_zeros() -> None:
+    a, b = RNG.normal(size=(2, 3))
+    assert np.array_equal(dense(vec(a).entrywise(vec(b))), a * b)
+    assert vec(a).entrywise([0.0, 1.0, 2.0])[0] == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.model import State
+from tests.compiler.test_saved import count
 from tests.tolerances import F64_PARITY, relative_error
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*left out of the model")
@@ -136,6 +138,7 @@ def test_linearise(integrator: str) -> None:
     assert relative_error(jnp.concatenate([A, B], 1), jnp.stack(J, 1), floor=1.0) < 1e-8
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 @pytest.mark.parametrize("kernel", [False, True])
 def test_gradient_of_a_rollout(kernel: bool) -> None:
     """Reverse, forward and differences agree through a landing."""
@@ -154,6 +157,45 @@ def test_gradient_of_a_rollout(kernel: bool) -> None:
     both = sum(jnp.vdot(x, y) for x, y in zip(back, to, strict=True))
     assert relative_error(both, rate) < 1e-12
     assert relative_error(rate, (ends[0] - ends[1]) / (2 * h)) < 1e-7
+
+
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
+def test_gradients_of_loops_over_steps_save_as_rollouts_do() -> None:
+    """A loop in a thread, a loop of threads and a loop of steps: the slopes of `rollout`, and no
+    Newton iteration in the reverse loop."""
+    model, steps = rb.load(hopper(), contacts=True), 8
+    start = rb.rollout(model, START, jnp.array([0.3]), steps=60).state(-1)
+
+    def last(state: State) -> jax.Array:
+        return (state.q**2).sum() + state.v[1]
+
+    def rolled(x: jax.Array) -> jax.Array:
+        state = State(start.q + x[:3], start.v + x[3:6])
+        return last(rb.rollout(model, state, x[6:], steps=steps, kernel=False).state(-1))
+
+    def looped(step: Callable) -> Callable:
+        def end(x: jax.Array) -> jax.Array:
+            state = State(start.q + x[:3], start.v + x[3:6])
+            turn = lambda state, _: (step(state, x[6:]), None)  # noqa: E731
+            return last(jax.lax.scan(turn, state, None, length=steps)[0])
+
+        return end
+
+    def step(state: State, u: jax.Array) -> State:
+        return rb.step(model, state, u)
+
+    x = jnp.zeros(7)
+    want = jax.jit(jax.grad(rolled))(x)
+    loops = [rb.threads(looped(step)), looped(rb.threads(step)), looped(step)]
+    forward = count(jax.make_jaxpr(lambda x: jax.linearize(loops[2], x)[0])(x), "while")
+    for k, f in enumerate(loops):
+        assert relative_error(jax.jit(jax.grad(f))(x), want) < 1e-11
+        values, both = (count(jax.make_jaxpr(g)(x), "while") for g in (f, jax.grad(f)))
+        # a thread whose slope is asked for computes the values twice
+        assert both - forward - (values if k == 0 else 0) < values
+    many = jnp.stack([x, x + 1e-3, x])
+    found = jax.jit(jax.vmap(jax.grad(loops[0])))(many)
+    assert relative_error(found[0], want) < 1e-11 and relative_error(found[1], want) > 1e-5
 
 
 def test_simulate_takes_fixed_steps_as_rollout() -> None:

@@ -138,6 +138,7 @@ def test_stiff_damper_is_stable() -> None:
         np.testing.assert_allclose(found.v, 1 / (1 + 0.01 * 1e6 / 2), rtol=1e-10)
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 @pytest.mark.parametrize("integrator", list(NAMES.values())[:3])
 def test_derivative_of_a_step(integrator: str) -> None:
     """Forward and reverse derivatives by state, controls, damping and the step, against

@@ -94,6 +94,7 @@ def test_an_eager_step_warns_and_returns_the_structure_that_it_was_given(model, 
         rb.step(model, rb.State(state.q, state.v, report=jnp.zeros(3)), None, DT)
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 def test_gradients_do_not_depend_on_the_report(model, state):
     def end(v, contact=None):
         path = rb.rollout(model, rb.State(state.q, v), None, DT, steps=STEPS, contact=contact)

@@ -134,6 +134,7 @@ def test_stiff_spring_is_stable() -> None:
     np.testing.assert_allclose(found.v, (1 - ratio * 0.2) / (1 + 0.01 * ratio), rtol=F64_ROUNDING)
 
 
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
 def test_derivative_of_a_step() -> None:
     """Forward and reverse derivatives by state, control, stiffness and friction, against
     differences, with a contact, a limit and a stiff servo."""

@@ -43,6 +43,7 @@ def test_parameters_of_a_simulated_cube_are_found() -> None:
     )  # fmt: skip
     for name, value in want.items():
         assert found.values[name] == pytest.approx(value, rel=1e-2), (name, found.values)
+    assert "the force of the contacts jumps at touch" in found.summary()
 
 
 def test_a_touch_sensor_is_read_in_a_simulation() -> None:

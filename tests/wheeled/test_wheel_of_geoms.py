@@ -12,8 +12,6 @@ import rbjax as rb
 from rbjax import wheeled
 from rbjax.errors import UnknownName
 
-# the normal forces of coulomb do not converge in the first steps, in which the caster settles
-pytestmark = pytest.mark.filterwarnings("ignore:rollout. the solver of CoulombContact")
 KINDS = wheeled.kinds()
 LAWS = ("mujoco", "coulomb", "impulse")
 DT, SECONDS = 1e-3, 0.5

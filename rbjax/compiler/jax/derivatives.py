@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -28,6 +28,8 @@ Flags = tuple[bool, ...]
 #: calls that are replaced by the equations of their jaxpr
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
 NO_EFFECTS: frozenset = frozenset()
+#: function of the variables that are given -> the transpose of a linearised jaxpr
+Transposed = Callable[..., ClosedJaxpr]
 
 
 def needed(
@@ -257,6 +259,19 @@ class Linearised:
         out, along = _push_forward(eqns, closed, args, [next(rest) if m else None for m in moving])
         return cls(eqns, args, tangents, out, along)
 
+    def divided(self) -> tuple[set[Var], list[JaxprEqn], list[JaxprEqn]] | None:
+        """Return the variables that depend on a tangent, the equations of the other variables, and
+        their own. Return None if an equation computes both."""
+        linear = dependents(self.eqns.eqns, self.tangents)
+        if any(map(functools.partial(_is_mixed, linear), self.eqns.eqns)):
+            return None
+        moving = tuple(any(v in linear for v in e.outvars) for e in self.eqns.eqns)
+        return linear, *_split(self.eqns.eqns, moving)
+
+    def values(self, more: Sequence[Var]) -> ClosedJaxpr:
+        """Return the function args -> (results, variables `more`)."""
+        return self.eqns.close(self.args, [*self.results, *more])
+
     def tangent(self, residuals: Sequence[ShapedArray]) -> ClosedJaxpr:
         """Return the function (args, residuals, tangents) -> tangents; residuals are not read."""
         outs = [
@@ -268,17 +283,17 @@ class Linearised:
 
     @gc_paused()
     def transposed(self, has_cotangent: Sequence[bool]) -> Transposed | None:
-        """Return the transpose (args, cotangents of results) -> cotangents of args with tangents.
+        """Return the transpose (args, given, cotangents of results) -> cotangents of args with
+        tangents, as a function of the variables `given`, which it does not compute.
 
         Returns None if an equation computes values and tangents together.
         """
         eqns = Equations()
         eqns.consts.update(self.eqns.consts)
-        linear = dependents(self.eqns.eqns, self.tangents)
-        if any(map(functools.partial(_is_mixed, linear), self.eqns.eqns)):
+        parts = self.divided()
+        if parts is None:
             return None
-        eqns.eqns = [e for e in self.eqns.eqns if not any(v in linear for v in e.outvars)]
-        forward = list(eqns.eqns)
+        linear, eqns.eqns, of_tangents = parts
         cotangents = [Var(x.aval) for x in itertools.compress(self.results, has_cotangent)]
         sums: dict[Var, Atom] = {}
 
@@ -293,9 +308,7 @@ class Linearised:
         along = itertools.compress(self.result_tangents, has_cotangent)
         for result_tangent, cotangent in zip(along, cotangents, strict=True):
             add(result_tangent, cotangent)
-        for eqn in reversed(self.eqns.eqns):
-            if not any(v in linear for v in eqn.outvars):
-                continue
+        for eqn in reversed(of_tangents):
             out = [sums.get(v) for v in eqn.outvars]
             present = [x is not None for x in out]
             some = [x for x in out if x is not None]
@@ -312,27 +325,11 @@ class Linearised:
             for atom, x in zip(itertools.compress(eqn.invars, moving), found, strict=True):
                 add(atom, x)
         outs = [sums[v] if v in sums else eqns.zeros(v) for v in self.tangents]
-        return Transposed(eqns, forward, self.args, cotangents, self.results, outs)
 
+        def closed(given: Sequence[Var] = ()) -> ClosedJaxpr:
+            return eqns.close([*self.args, *given, *cotangents], outs)
 
-@dataclass(frozen=True)
-class Transposed:
-    """The transpose of a linearised jaxpr: the equations (args, cotangents) -> outs."""
-
-    eqns: Equations
-    forward: list[JaxprEqn]  # the equations that compute the results
-    args: list[Var]
-    cotangents: list[Var]
-    results: list[Atom]
-    outs: list[Atom]
-
-    def closed(self, given: Sequence[Var] = ()) -> ClosedJaxpr:
-        """Return the function (args, given, cotangents) -> outs; `given` are not computed."""
-        return self.eqns.close([*self.args, *given, *self.cotangents], self.outs)
-
-    def values(self, more: Sequence[Var]) -> ClosedJaxpr:
-        """Return the function args -> (results, variables `more`)."""
-        return self.eqns.close(self.args, [*self.results, *more])
+        return closed
 
 
 def _push_forward(

@@ -114,14 +114,14 @@ def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
     )  # fmt: skip
 
 
-def _seconds(run: Callable, args: list[jax.Array], calls: int = 10) -> float:
-    """Return the seconds of one call: the median over seven series of calls."""
+def _seconds(run: Callable, args: list[jax.Array]) -> float:
+    """Return the seconds of one call: the median over seven series of ten calls."""
     jax.block_until_ready(run(*args))
     times = []
     for _ in range(7):
         start = time.perf_counter()
-        for _ in range(calls):
+        for _ in range(10):
             out = run(*args)
         jax.block_until_ready(out)
-        times.append((time.perf_counter() - start) / calls)
+        times.append((time.perf_counter() - start) / 10)
     return statistics.median(times)

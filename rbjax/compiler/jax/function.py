@@ -15,6 +15,7 @@ from rbjax.compiler.jax.garbage import gc_paused
 from rbjax.compiler.jax.launch import has_gpu, kernels_available
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program
+from rbjax.compiler.jax.saved import has_saving, inside
 from rbjax.compiler.jax.uniform import split_results
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
@@ -151,14 +152,15 @@ def trace(f: Callable, args: Sequence) -> tuple[Program, list[jax.Array]]:
     The inputs of the program are these values, followed by the arguments.
     """
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
-    with gc_paused():
+    with gc_paused(), inside():
         closed = jax.make_jaxpr(f)(*avals)
     jaxpr = closed.jaxpr
+    saves = has_saving(jaxpr)
     consts = dict(zip(jaxpr.constvars, closed.consts, strict=True))
     moving = {v: c for v, c in consts.items() if isinstance(c, jax.core.Tracer)}
     if not moving:
-        return Program(closed), []
+        return Program(closed, saves=saves), []
     known = {v: c for v, c in consts.items() if v not in moving}
     ins = [*moving, *jaxpr.invars]
     whole = close(jaxpr.eqns, ins, jaxpr.outvars, known, frozenset(jaxpr.effects))
-    return Program(whole), list(moving.values())
+    return Program(whole, saves=saves), list(moving.values())

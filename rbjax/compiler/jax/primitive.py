@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 from jax.core import ShapedArray
-from jax.extend.core import Primitive
+from jax.extend.core import ClosedJaxpr, Primitive
 from jax.interpreters import batching, mlir
 from numpy.typing import DTypeLike
 
@@ -38,6 +38,7 @@ from rbjax.compiler.jax.programs import Program
 from rbjax.compiler.jax.sharding import Axes, shard_batch
 from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.compiler.llvm import jit as llvm_jit
+from rbjax.compiler.lower.control import inner_jaxprs
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 from rbjax.compiler.lower.write import write_program
 
@@ -247,12 +248,26 @@ mlir.register_lowering(threads_p, _lower_for_cpu, platform="cpu")
 mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 
+def _has_while(closed: ClosedJaxpr) -> bool:
+    """Return whether the number of iterations of some loop depends on values."""
+    for eqn in closed.jaxpr.eqns:
+        program = eqn.params.get("program")
+        inner = [program.closed] if program is not None else [x for x, _ in inner_jaxprs(eqn)]
+        if eqn.primitive.name == "while" or any(map(_has_while, inner)):
+            return True
+    return False
+
+
 @rule("threads")
 def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Lower a program inside another program. A batch of it becomes a loop."""
+    """Lower a program inside another program. A batch of it becomes a loop if the samples may take
+    different numbers of iterations, else `vmap`, which keeps entries that are zero in all samples.
+    """
+    closed = eqn.params["program"].closed
     if not eqn.params["batch"]:
-        return low.closed(eqn.params["program"].closed, ins)
-    f = functools.partial(under_xla, **eqn.params, each=_one_by_one)
+        return low.closed(closed, ins)
+    each = _one_by_one if _has_while(closed) else jax.vmap
+    f = functools.partial(under_xla, **eqn.params, each=each)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 
 

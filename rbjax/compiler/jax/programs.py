@@ -38,6 +38,8 @@ class Program:
         GPU then runs it under XLA. This also holds for its derivatives.
     team: whether a block of GPU threads runs a sample, if its arrays fit into shared memory. One
         thread runs its derivatives.
+    saves: whether a reverse derivative reads the named values of the forward pass, if they fit
+        into memory, instead of computing them again (`saved`).
     derived: cache of programs made from this one.
     """
 
@@ -50,6 +52,7 @@ class Program:
     max_batch: int | None = None
     compile_fast: bool = False
     team: bool = False
+    saves: bool = False
     derived: dict[Hashable, object] = field(default_factory=dict)
 
     @property
@@ -96,15 +99,16 @@ class Program:
         """
         if self.closed.effects or self.vjp is not None:
             return None
-        return self._linearised(moving).transposed(has_cotangent)
+        return self.linearised(moving).transposed(has_cotangent)
 
-    def _linearised(self, moving: Moving) -> Linearised:
+    def linearised(self, moving: Moving) -> Linearised:
+        """Return the linearisation by the moving arguments."""
         return self.memoize(("linear", moving), lambda: Linearised.of(self.closed, moving))
 
     def _tangent(self, moving: Moving) -> Program:
         residuals = self.residuals(moving)
         if not self.closed.effects:
-            return self._same(self._linearised(moving).tangent(residuals))
+            return self._same(self.linearised(moving).tangent(residuals))
 
         def f(*xs: jax.Array) -> list[jax.Array]:
             tangents = list(xs[len(moving) + len(residuals) :])
@@ -120,7 +124,7 @@ class Program:
     def _transposed(self, moving: Moving, has_cotangent: Moving) -> Program:
         equations = self.transposed_equations(moving, has_cotangent)
         if equations is not None:
-            return self._same(equations.closed())
+            return self._same(equations())
         residuals = self.residuals(moving)
         n, end = len(moving), len(moving) + len(residuals)
 

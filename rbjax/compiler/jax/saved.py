@@ -2,25 +2,37 @@
 
 The values are those with a name of `LEFT`: solutions of equations, factors of matrices, contacts in
 use. The vjp computes all other values again.
+
+A program that saves (`Program.saves`) has this vjp. Between programs the saved values are arrays of
+a batch. In a loop inside of a program they are in the memory of a thread, so they must be few.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import itertools
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 from jax.extend.core.primitives import closed_call_p
 
-from rbjax.compiler.jax.derivatives import Equations
+from rbjax.compiler.jax.derivatives import Equations, needed
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program, traced
 
 #: the names (`checkpoint_name`) of values that a derivative may save instead of recomputing them
 LEFT = ("acceleration", "factors", "contacts")
+#: bytes of its own memory that a thread may use for saved values
+HELD_UP_TO = 16 * 1024
+#: number of times that the program which is being traced runs an equation; 0 outside of programs
+_runs: ContextVar[float] = ContextVar("runs", default=0)
 
 
 class SavedVjp:
@@ -39,7 +51,7 @@ class SavedVjp:
         key = "saved_vjp", moving
 
         def made() -> SavedVjp:
-            whole = Program(without_nested(program.closed))
+            whole = _whole(program)
             vjps = (f(whole, moving) for f in (_vjp_of_equations, _vjp_of_checkpoint))
             return cls(*next(x for x in vjps if x is not None))
 
@@ -57,6 +69,69 @@ class SavedVjp:
     def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
         """Compute the cotangents of the arguments from residuals and cotangents of the results."""
         return self._back(args, left, bars)
+
+
+def saving(program: Program, moving: tuple[bool, ...]) -> Program:
+    """Return the program whose reverse derivative reads saved values; the given one if it has none,
+    or if they are too many for the memory of a thread."""
+    saved = SavedVjp.of(program, moving)
+    if not saved.bytes or saved.bytes * _runs.get() > HELD_UP_TO:
+        return program
+
+    def vjp(moving: Any, args: Sequence[Any], left: Sequence[Any], bars: Sequence[Any]) -> list:
+        given = zip(program.outputs, bars, strict=True)
+        return saved(args, left[0], [jnp.zeros(x.shape, x.dtype) if y is None else y
+                                     for x, y in given])  # fmt: skip
+
+    def made() -> Program:
+        return replace(
+            _whole(program), vjp=vjp, forward_with_residuals=lambda moving: saved.forward,
+            first_residual=len(program.outputs),
+        )  # fmt: skip
+
+    return program.memoize(("saving", moving), made)
+
+
+def _whole(program: Program) -> Program:
+    """Return a program without the programs that it calls."""
+    closed = program.closed
+    return program.memoize(
+        "whole", lambda: Program(without_nested(closed), compile_fast=program.compile_fast)
+    )
+
+
+def has_saving(jaxpr: Jaxpr) -> bool:
+    """Check whether a program that saves runs once in a jaxpr."""
+    return _most_runs(jaxpr) == 1
+
+
+@contextlib.contextmanager
+def inside(program: Program | None = None) -> Iterator[None]:
+    """Trace the derivative of a program, or a program whose loops are not known yet."""
+    most = math.inf if program is None else _most_runs(program.closed.jaxpr)
+    before = _runs.set(max(_runs.get(), 1) * most)
+    try:
+        yield
+    finally:
+        _runs.reset(before)
+
+
+def _most_runs(jaxpr: Any) -> float:
+    """Return the largest number of times that a jaxpr runs one program that saves."""
+    most: float = 0
+    for eqn in getattr(jaxpr, "jaxpr", jaxpr).eqns:
+        params = eqn.params
+        if eqn.primitive.name == "threads":
+            inner: float = params["program"].saves or _most_runs(params["program"].closed)
+            times: float = math.prod(params["batch"])
+        else:
+            within = [
+                x for x in jax.tree.leaves([*params.values()]) if isinstance(x, Jaxpr | ClosedJaxpr)
+            ]
+            inner = max(map(_most_runs, within), default=0)
+            times = {"scan": params.get("length"), "while": math.inf}.get(eqn.primitive.name, 1)
+        most = max(most, inner and inner * times)
+    return most
 
 
 class _Flat(Equations):
@@ -88,19 +163,25 @@ def _vjp_of_equations(
 ) -> tuple[Program, Callable] | None:
     """Build the vjp of a program without loops, with the named values as residuals; None if the
     program cannot be transposed as equations."""
-    back = program.transposed_equations(moving, (True,) * len(program.outputs))
-    if back is None:
+    linearised = program.linearised(moving)
+    parts = None if program.closed.effects else linearised.divided()
+    if parts is None:
         return None
+    linear, of_values, of_tangents = parts
     named = [
-        eqn.outvars[0] for eqn in back.forward
+        eqn.outvars[0] for eqn in of_values
         if eqn.primitive.name == "name" and eqn.params["name"] in LEFT
     ]  # fmt: skip
-    whole = back.closed(given=named)
-    read = {a for eqn in whole.jaxpr.eqns for a in eqn.invars if isinstance(a, Var)}
+    outs = [v for v in _variables(of_tangents) if v not in linear]
+    read = {*outs, *_variables(needed(of_values, outs, named))}
     left = [v for v in named if v in read]
     shapes: list[Any] = [v.aval for v in left]
-    rest, n = Program(back.closed(given=left)), len(program.outputs)
-    values = Program(back.values(left))
+    values, n = Program(linearised.values(left)), len(program.outputs)
+
+    @functools.cache
+    def rest() -> Program:
+        back: Any = program.transposed_equations(moving, (True,) * n)
+        return Program(back(left))
 
     def forward(*args: Any) -> list[Any]:
         found = run(values, args)
@@ -111,9 +192,14 @@ def _vjp_of_equations(
         for a in shapes:
             parts.append(_part(vector, start, a))
             start += a.size
-        return run(rest, [*args, *parts, *bars])
+        return run(rest(), [*args, *parts, *bars])
 
     return traced(forward, *program.inputs), backward
+
+
+def _variables(eqns: Sequence[JaxprEqn]) -> list[Var]:
+    """Return the variables that equations read."""
+    return [a for eqn in eqns for a in eqn.invars if isinstance(a, Var)]
 
 
 def _vector(parts: Sequence[jax.Array], dtype: Any) -> jax.Array:

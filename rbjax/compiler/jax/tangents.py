@@ -15,6 +15,7 @@ from jax.interpreters import ad, batching, mlir
 
 from rbjax._jax_compat import needs_devices
 from rbjax.compiler.jax.primitive import add_axis, place_batch, result_avals, run, threads_p
+from rbjax.compiler.jax.saved import inside, saving
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: the number of directions that fill a sector of a GPU's memory
@@ -85,6 +86,8 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         return found, [_zero(x) for x in found]
     if program.for_batch_size is not None:
         program = program.for_batch_size(math.prod(batch), moving)
+    if program.saves:
+        program = saving(program, moving)
     n, residuals, positions = len(program.outputs), [], ()
     if program.forward_with_residuals is None:
         found = run(program, primals, batch, ins, outs)
@@ -136,7 +139,8 @@ def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
     for a in axes:  # sum in the kernel if an operand lacks all batch axes
         whole = all(k is not None for k in a) or all(k is None for k in a)
         positions.append(a if whole else first)
-    transposed = program.transposed(moving, has_cotangent)
+    with inside(program):
+        transposed = program.transposed(moving, has_cotangent)
     found = run(transposed, [*operands[:n], *given], batch, [*ins[:n], *there], positions)
     found = [
         x if o == a else place_batch(x, a) for x, o, a in zip(found, positions, axes, strict=True)

@@ -90,7 +90,7 @@ def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable
     first = _close(before, given, outside, program)
     rest = _close([*moved, *after], [*own, *outside], jaxpr.outvars, program)
     short = Program(first, compile_fast=True) if _is_short(first.jaxpr) else None
-    return Program(rest, team=program.team), jaxpr_as_fun(first), short
+    return Program(rest, team=program.team, saves=program.saves), jaxpr_as_fun(first), short
 
 
 def split_results(program: Program) -> tuple[Program, Program]:

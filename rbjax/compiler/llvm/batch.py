@@ -91,10 +91,10 @@ class _Frame:
         return self.arrays[k].size * self.arrays[k].dtype.itemsize
 
     def in_tiles(self) -> list[int]:
-        """Return the numbers of the arrays whose rows are transposed to tiles of vectors and back.
+        """Return the indices of the arrays whose rows are transposed to tiles of vectors and back.
 
-        An array is tiled only if most of its entries are accessed: by statements, or, if it is
-        short, by iterations of loops.
+        An array is tiled only if most of its entries are accessed. In short arrays each iteration
+        of a loop counts as an access. In long arrays each statement counts once.
         """
         block = self.program.builder.block
         named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))

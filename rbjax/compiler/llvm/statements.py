@@ -51,9 +51,9 @@ class Function:
         return f"call void @{self.name}({', '.join(f'ptr {x}' for x in (*pointers, space))})"
 
 
-def write_sample(program: Written, name: str = "sample") -> Function:
+def write_sample(program: Written) -> Function:
     """Print the function of one sample of a program."""
-    return write_function(Writer(), program, name)
+    return write_function(Writer(), program, "sample")
 
 
 def write_function(writer: Writer, program: Written, name: str) -> Function:

@@ -65,16 +65,15 @@ def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
             if name.startswith(("dynamic_update", "scatter")):
                 origin[eqn.outvars[0]] = of(eqn.invars[0])
             continue
-        for inner, atoms in _inner(eqn):
-            flags = [is_varying(a) for a in atoms]
-            if name in ("scan", "while"):
-                flags = [True] * len(atoms)
+        for inner, atoms in inner_jaxprs(eqn):
+            flags = [name in ("scan", "while") or is_varying(a) for a in atoms]
             for k in indexed(inner, flags):
                 found |= of(atoms[k])
     return found
 
 
-def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
+def inner_jaxprs(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
+    """Return the jaxprs that an equation runs, each with the operands that are its inputs."""
     P, atoms = eqn.params, list(eqn.invars)
     match eqn.primitive.name:
         case "cond":

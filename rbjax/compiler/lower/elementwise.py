@@ -58,11 +58,11 @@ def map_entries(
     b, size = low.b, math.prod(shape)
     if size > loop_above:
         sources = [_in_loop(b, x, shape) for x in xs]
-        out = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
-        views = out
+        results = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
+        views = results
         if not b.in_team:  # one loop in place of a nest, if all entries are equally spaced
             moving = [x for x in sources if isinstance(x, View)]
-            flat = iter(arrays.as_flat_views(*moving, *out))
+            flat = iter(arrays.as_flat_views(*moving, *results))
             sources = [next(flat) if isinstance(x, View) else x for x in sources]
             views = list(flat)
 
@@ -72,7 +72,7 @@ def map_entries(
                 arrays.store_entry(b, view, i, value)
 
         arrays.for_each_index(b, views[0].shape, one)
-        return list(out)
+        return list(results)
     operands = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
     outs = [np.empty(shape, object) for _ in dtypes]
     for i in arrays.indices_of(shape):

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.equations.model_rows import jacobian
@@ -23,7 +22,7 @@ from rbjax.constraints.rows.tendons import TendonPolynomial
 from rbjax.dynamics import inverse_mass_matrix
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.place import Place
-from rbjax.forces.tendons.tendon_weights import tendon_weights, weights_with_tendons
+from rbjax.forces.tendons.tendon_weights import row_weights, tendon_weights, weights_with_tendons
 from rbjax.model import Model, without_constants
 
 
@@ -84,5 +83,5 @@ def _body(model: Model, place: Place) -> int | None:
 def _exact(model: Model, soft: Soft) -> jax.Array:
     """Compute diag(G M^-1 G^T)."""
     q = model.joints.reference if soft.at is None else soft.at
-    G, inverse = jacobian(model.replace(constraints=(soft.of,)), q), inverse_mass_matrix(model, q)
-    return (G[:, :, None] * inverse * G[:, None, :]).sum((1, 2)) if G.size else jnp.zeros(len(G))
+    G = jacobian(model.replace(constraints=(soft.of,)), q)
+    return row_weights(G, inverse_mass_matrix(model, q))

@@ -254,7 +254,7 @@ class ClusterTree:
         """
         l: list[Lane] = [0.0] * len(self._rows)
 
-        def arrived(link: int) -> Force:
+        def solve_clusters(link: int) -> Force:
             """Compute the multipliers of the clusters below a link, and return the force on the
             link."""
             f = pending.pop(link, Force.zero())
@@ -266,7 +266,7 @@ class ClusterTree:
             return f
 
         for i in reversed(range(len(u))):
-            f, x, parent = arrived(i), self._factors[i], self._parents[i]
+            f, x, parent = solve_clusters(i), self._factors[i], self._parents[i]
             left, message = add(u[i], x.S.dot(f)), None
             if parent != WORLD:
                 message = x.X.T(f - x.U * mul(left, x.inverse_D))
@@ -274,7 +274,7 @@ class ClusterTree:
             u[i], message = fusion_barrier((left, message), known=(u[i], x))
             if parent != WORLD:
                 pending[parent] = message
-        arrived(WORLD)
+        solve_clusters(WORLD)
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
@@ -285,9 +285,9 @@ class ClusterTree:
         """
         a, out = {WORLD: Motion.zero()}, []
 
-        def arrived(link: int) -> None:
-            """Correct the multipliers of the clusters below a link for its acceleration. Add their
-            forces to the joint forces u."""
+        def correct_clusters(link: int) -> None:
+            """Subtract from the multipliers of the clusters below a link the part that its
+            acceleration a_link causes. Add their constraint forces to the joint forces u."""
             for tied in self._clusters[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):
@@ -296,12 +296,12 @@ class ClusterTree:
                     for i, x in own.items():
                         u[i] = add(u[i], mul(l[r], x))
 
-        arrived(WORLD)
+        correct_clusters(WORLD)
         for i, parent in enumerate(self._parents):
             x = self._factors[i]
             carried = x.X(a[parent])
             qdd = mul(sub(u[i], x.U.dot(carried)), x.inverse_D)
             a[i], qdd = fusion_barrier((carried + x.S * qdd, qdd), known=(x, a[parent]))
             out.append(qdd)
-            arrived(i)
+            correct_clusters(i)
         return out

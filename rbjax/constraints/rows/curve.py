@@ -155,7 +155,11 @@ def _normals(along: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(c: Callable) -> Callable:
-    """Return the function (x, numbers, starts) -> s, differentiated as an implicit function."""
+    """Return the function (x, numbers, starts) -> s of the point c(s) of the curve nearest to x.
+
+    Its derivative is that of the implicit function F(x, s) = 0. numbers: parameters of c. starts:
+    values of s from which Newton's method may start.
+    """
 
     def F(x: jax.Array, numbers: Any, s: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return F(x, s) and |c'(s)|^2. F is zero at the parameter s of the curve's point nearest

@@ -8,7 +8,6 @@ Source: MuJoCo, *Computation*, constraint model, parameters.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,7 +20,7 @@ from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.impedance import end_of_step, impedance, reference, regularisation
-from rbjax.lanes import Lane, inner, is_literal
+from rbjax.lanes import Lane, inner, safe_sqrt
 from rbjax.model import Model
 from rbjax.model.leaves import numbers
 from rbjax.model.record import check_fields, floats
@@ -149,7 +148,4 @@ def _norm(g: Sequence[Lane]) -> Lane:
     is returned with its sign."""
     if len(g) == 1:
         return g[0]
-    square = inner(g, g)
-    if is_literal(square):
-        return math.sqrt(square)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    return safe_sqrt(inner(g, g))

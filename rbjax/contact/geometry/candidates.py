@@ -94,7 +94,7 @@ def pair_contacts(
 
 
 def _kept(x: Any, dtype: Any) -> Any:
-    """Return the dtype of a flag or of a number."""
+    """Return bool for a boolean, else `dtype`."""
     return bool if jnp.issubdtype(jnp.result_type(x), jnp.bool_) else dtype
 
 

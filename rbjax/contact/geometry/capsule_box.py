@@ -160,12 +160,13 @@ def _second(near: Nearest, center: Vec3, h: Vec3, size: Vec3) -> tuple[Lane, Lan
 
 
 def _from_corner(near: Nearest, h: Vec3, into: list, across: list) -> tuple[Lane, Lane]:
-    """Return the way to the second point from a corner, and whether there is one.
+    """Return the change of the segment's coordinate from a corner to the second point, and whether
+    there is a second point.
 
     One of the two directions of the segment enters the slab of one axis and leaves the two others.
-    A segment steep along that axis follows the edge, in that direction. Any other follows the face
-    of the two other axes, in the opposite direction. There is no second point if the segment enters
-    or leaves all three slabs.
+    If the segment is steep along that axis, it follows the edge in that direction. Otherwise it
+    follows the face of the two other axes in the opposite direction. There is no second point if
+    the segment enters or leaves all three slabs.
     """
     x, y, z = into
     two = x & y & ~z | y & z & ~x | z & x & ~y
@@ -184,7 +185,8 @@ def _from_corner(near: Nearest, h: Vec3, into: list, across: list) -> tuple[Lane
 
 
 def _from_edge(near: Nearest, h: Vec3, into: list, across: list) -> tuple[Lane, Lane]:
-    """Return the way to the second point from the interior of an edge, and whether there is one.
+    """Return the change of the segment's coordinate from the interior of an edge to the second
+    point, and whether there is a second point.
 
     The segment goes along one of the two faces at the edge if it enters one slab and leaves the
     other. It goes along the face that is less steep to it, in the direction into its slab, until
@@ -206,9 +208,10 @@ def _from_edge(near: Nearest, h: Vec3, into: list, across: list) -> tuple[Lane, 
 
 
 def _over_face(near: Nearest, center: Vec3, h: Vec3, size: Vec3) -> tuple[Lane, Lane]:
-    """Return the way from an end over a face to the second point, and whether there is one.
+    """Return the change of the segment's coordinate from an end over a face to the second point,
+    and whether there is a second point.
 
-    It is the other end, or the point at which the segment is over an edge of the face.
+    The second point is the other end, or the point of the segment that is over an edge of the face.
     """
     way = jnp.where(near.at < 0, 1.0, -1.0)
     end, direction = center + h * near.at, h * way

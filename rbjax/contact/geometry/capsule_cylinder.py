@@ -70,10 +70,10 @@ def _at(p: Vec3, r: Lane, h: Lane, R: Lane) -> tuple[Lane, Vec3, Vec3]:
 
 
 def _nearest(c: Vec3, u: Vec3, r: Lane, h: Lane, s: Lane) -> Lane:
-    """Return the coordinate along a segment of the point nearest to a cylinder.
+    """Return t in [-s, s] such that the point c + t u of a segment is nearest to a cylinder.
 
-    Half the squared distance is convex along the segment. The last step is Newton's, which has the
-    derivative of the solution.
+    Bisection finds the zero of the slope of the squared distance, which is convex in t. A last
+    step of Newton's method gives the result the derivative of the implicit function.
     """
 
     still = jax.lax.stop_gradient((c, u, r, h, s))

@@ -26,8 +26,6 @@ from rbjax.contact.geometry.shapes import TINY, Contact, Shape, contact_frame, u
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 
-#: contacts of a pair, at most
-CONTACTS = 4
 #: sine of the angle between two lines that count as parallel
 PARALLEL_LINES = 2e-3
 #: a segment is orthogonal to a direction if the cosine is below, and two lengths are equal,
@@ -58,36 +56,9 @@ def _box(shape: Shape) -> Zonoid:
 
 
 def _contacts(one: tuple[Shape, Zonoid], other: tuple[Shape, Zonoid], reach: Lane) -> list[Contact]:
-    """Return the contacts of two shapes. The search runs if their spheres are within reach."""
+    """Return up to four contacts of two shapes, each with its segments and discs."""
     (a, A), (b, B) = one, other
     d = b.p - a.p
-    apart = jnp.sqrt(d.dot(d) + TINY * TINY) - A.size - B.size
-    none = Contact(apart, a.p, unit(d, Vec3(0.0, 0.0, 1.0)), False)
-    like = jnp.asarray(apart)
-
-    def near() -> list[Contact]:
-        return _alike(_near(one, other, d, reach), like)
-
-    def far() -> list[Contact]:
-        return _alike([none] * CONTACTS, like)
-
-    return jax.lax.cond(apart <= reach, near, far)
-
-
-def _alike(contacts: list[Contact], like: jax.Array) -> list[Contact]:
-    """Return contacts whose lanes have one dtype, for both branches."""
-    return [
-        jax.tree.map(lambda x: jnp.asarray(x, like.dtype), c._replace(exists=0.0))._replace(
-            exists=jnp.asarray(c.exists, bool)
-        )
-        for c in contacts
-    ]
-
-
-def _near(
-    one: tuple[Shape, Zonoid], other: tuple[Shape, Zonoid], d: Vec3, reach: Lane
-) -> list[Contact]:
-    (a, A), (b, B) = one, other
     found = least_overlap(Zonoid(A.segments + B.segments, A.discs + B.discs), d)
     n, least = found
     small = SMALL[jnp.result_type(least).name]
@@ -260,10 +231,11 @@ def _spread(
 def _nearest(A: Zonoid, B: Zonoid, d: Vec3, found: Direction, small: Lane) -> Vec3:
     """Return the midpoint between the nearest points of two shapes, from the center of the first.
 
-    A segment that is orthogonal to the normal is an edge, on which the nearest point is sought.
+    A segment that is orthogonal to the normal is an edge, on which the nearest point is sought. The
+    point of a shape that lies on a face of the other is over this face.
     """
     n = found.n
-    (p, u, s), (q, w, t) = _edge(A, n, small), _edge(B, -n, small)
+    (p, u, s, on_a), (q, w, t, on_b) = _edge(A, n, small), _edge(B, -n, small)
     q = q + d
     between = q - p
     between = between - n * between.dot(n)
@@ -271,15 +243,23 @@ def _nearest(A: Zonoid, B: Zonoid, d: Vec3, found: Direction, small: Lane) -> Ve
     i = jnp.clip((bu - cosine * bw) / jnp.maximum(1 - cosine * cosine, 1e-12), -s, s)
     j = jnp.clip(cosine * i - bw, -t, t)
     i = jnp.clip(cosine * j + bu, -s, s)
-    return (p + u * i + q + w * j) * 0.5
+    p, q = p + u * i, q + w * j
+    half = n * (0.5 * n.dot(q - p))
+    return select(on_a, q - half, select(on_b, p + half, (p + q) * 0.5))
 
 
-def _edge(shape: Zonoid, n: Vec3, small: Lane) -> tuple[Vec3, Vec3, Lane]:
-    """Return center, direction and half length of the edge at the farthest point of a shape."""
+def _edge(shape: Zonoid, n: Vec3, small: Lane) -> tuple[Vec3, Vec3, Lane, Lane]:
+    """Return center, direction and half length of the edge at the farthest point of a shape, and
+    whether a face is there. A face counts with its center."""
     cosines = [jnp.abs(n.dot(g)) for g, _ in shape.segments]
     u, s, least = shape.segments[0][0], shape.segments[0][1], cosines[0]
     for (g, length), c in list(zip(shape.segments, cosines, strict=True))[1:]:
         u, s, least = select(c < least, (g, length, c), (u, s, least))
-    s = jnp.where(least < small, s, 0.0)
+    face: Lane = False
+    for g, _ in shape.segments:  # all faces are orthogonal to a segment
+        across = n.cross(g)
+        face = face | (across.dot(across) < small * small)
+    edge = (least < small) & ~face
     p = shape.farthest(n)
-    return p - u * jnp.where(least < small, p.dot(u), 0.0), u, s
+    p = select(face, n * shape.support(n), p - u * jnp.where(edge, p.dot(u), 0.0))
+    return p, u, jnp.where(edge, s, 0.0), face

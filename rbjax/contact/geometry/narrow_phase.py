@@ -23,7 +23,7 @@ from rbjax.contact.geometry.capsule_cylinder import capsule_cylinder
 from rbjax.contact.geometry.cylinder_pairs import cylinder_box, cylinder_cylinder
 from rbjax.contact.geometry.height_field import field_box, field_capsule, field_sphere
 from rbjax.contact.geometry.plane_mesh import plane_mesh
-from rbjax.contact.geometry.shapes import PARALLEL, TINY, Contact, Shape, times, unit
+from rbjax.contact.geometry.shapes import PARALLEL, TINY, Contact, Shape, unit
 from rbjax.lanes import Lane, Vec3
 from rbjax.lanes.arrays import select
 
@@ -47,8 +47,8 @@ def plane_capsule(plane: Shape, capsule: Shape, reach: Lane) -> list[Contact]:
 def plane_ellipsoid(plane: Shape, ellipsoid: Shape, reach: Lane) -> list[Contact]:
     """Return the contact of a plane with the lowest point of an ellipsoid."""
     n, s = plane.axis, ellipsoid.size
-    scaled = times(ellipsoid.R.T @ n, s)
-    lowest = ellipsoid.p - ellipsoid.R @ times(s, unit(scaled, Vec3(0.0, 0.0, 1.0)))
+    scaled = s.entrywise(ellipsoid.R.T @ n)
+    lowest = ellipsoid.p - ellipsoid.R @ s.entrywise(unit(scaled, Vec3(0.0, 0.0, 1.0)))
     return [_above_plane(plane, lowest, reach)]
 
 

@@ -6,15 +6,15 @@ between the centers of two bodies, all segments s g and all discs of radius r an
     sep(n) = n . d - sum of s |n . g| - sum of r |n - a (n . a)|
 is their separation along the unit vector n. Its maximum is the signed distance: of all maxima the
 least overlap counts. A maximum is at the axis of a disc, at a product of two segments, on the great
-circle orthogonal to a segment, or at a smooth point of the sphere. Each kind is searched in turn:
-the first two are known, a circle by samples and halvings, the sphere by samples and Newton's method
-with a damping. The last step of the search is Newton's, so that its derivative is the derivative of
-the maximum. (Gottschalk, Lin & Manocha 1996, for separating axes; Schneider, *Convex Bodies*, 3.5,
-for zonoids.)
+circle orthogonal to a segment, or at a smooth point of the sphere. The directions of the first two
+kinds are known. On each circle and on the sphere, damped Newton steps start from the best of many
+directions. The last step has the derivative of the maximum. (Gottschalk, Lin & Manocha 1996, for
+separating axes; Schneider, *Convex Bodies*, 3.5, for zonoids.)
 """
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -27,10 +27,10 @@ from rbjax.lanes.arrays import select
 
 #: squared sine of the angle between two segments that count as parallel
 PARALLEL_SEGMENTS = {"float64": 1e-10, "float32": 1e-6}
-#: samples of half a great circle, and halvings of the interval about the best one
-CIRCLE, HALVINGS = 16, 24
-#: samples of the sphere, and Newton steps from the best one
-SPHERE, STEPS = 64, 16
+#: directions of half a sphere, Newton steps from the best one, and further ones of the greatest
+SAMPLES, FIRST, STEPS = 40, 8, 12
+#: damping of the first step relative to the size, and its factor after a rise and after none
+DAMPING, RISE, NO_RISE = 0.1, 0.1, 8.0
 
 Vectors = tuple[Vec3, Lane]
 
@@ -64,7 +64,7 @@ class Zonoid(NamedTuple):
             out = out + g * (jnp.sign(n.dot(g)) * s)
         for a, r in self.discs:
             across, length = _across(n, a)
-            out = out + across * (r / jnp.maximum(length, TINY))
+            out = out + across * jnp.where(length > 0, r / jnp.where(length > 0, length, 1.0), 0.0)
         return out
 
     def curvature(self, n: Vec3, x: Vec3, y: Vec3) -> tuple[Lane, Lane, Lane]:
@@ -111,12 +111,15 @@ def least_overlap(K: Zonoid, d: Vec3) -> Direction:
 
     K: the segments and discs of both bodies. d: vector between their centers, m.
     """
-    still = jax.lax.stop_gradient((K, d))
-    which, start = _search(*still)
-    known, _ = _known(K)
-    at_known = which < len(known[0])
-    n_known = Vec3(*(x[jnp.minimum(which, len(known[0]) - 1)] for x in known))
-    n = select(at_known, n_known * _towards(n_known, d), _refined(K, d, start, which))
+    known, valid = _known(K)
+    # the normals of the circles, and zero for the sphere
+    normals = _stack([Vec3(*(0.0 * x for x in d)), *(g for g, _ in K.segments)])
+    start, k, which = _search(*jax.lax.stop_gradient((K, d, known, valid, normals)))
+    last, _ = _climb(K, d, start.n, _entry(normals, k), 0.0)
+    n = _entry(known, which)
+    slack = 16 * jnp.finfo(start.separation.dtype).eps * (K.size + jnp.sqrt(d.dot(d)))
+    better = last.dot(d) - K.support(last) >= start.separation - slack
+    n = select(which < 0, select(better, last, start.n), n * _towards(n, d))
     return Direction(n, n.dot(d) - K.support(n))
 
 
@@ -125,14 +128,19 @@ def _stack(vectors: list[Vec3]) -> Vec3:
     return Vec3(*(jnp.stack([jnp.asarray(v[i]) for v in vectors]) for i in range(3)))
 
 
+def _entry(vectors: Vec3, k: Lane) -> Vec3:
+    """Return one of the vectors in lanes (n,), the first or last if the index k is out of range."""
+    return Vec3(*(x[jnp.clip(k, 0, len(x) - 1)] for x in vectors))
+
+
 def _towards(n: Vec3, d: Vec3) -> Lane:
     """Return the sign of n . d."""
     return jnp.where(n.dot(d) < 0, -1.0, 1.0)
 
 
 def _known(K: Zonoid) -> tuple[Vec3, Lane]:
-    """Return the axes of discs and the products of two segments, lanes (n,), and which are not
-    zero."""
+    """Return the directions in which the separation may have a kink at its maximum, lanes (n,), and
+    which of them exist: the axes of the discs, and the cross products of two segments."""
     g = [g for g, _ in K.segments]
     products = [a.cross(b) for i, a in enumerate(g) for b in g[i + 1 :]]
     all_ = _stack([a for a, _ in K.discs] + products)
@@ -141,73 +149,42 @@ def _known(K: Zonoid) -> tuple[Vec3, Lane]:
     return all_ * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), valid
 
 
-def _search(K: Zonoid, d: Vec3) -> tuple[Lane, Vec3]:
-    """Return the kind of the greatest maximum, and a direction close to it.
-
-    The kind is an index: known directions, then circles, then the sphere.
-    """
-    dtype = jnp.result_type(d[0])
+def _search(
+    K: Zonoid, d: Vec3, known: Vec3, valid: Lane, normals: Vec3
+) -> tuple[Direction, Lane, Lane]:
+    """Return the greatest maximum on the sphere and the circles, the index of its circle, and the
+    index of a known direction whose separation is not less, -1 if there is none."""
     scale = K.size + jnp.sqrt(d.dot(d))
-    least = scale * (1e-10 if dtype == jnp.float64 else 2e-6)
+    lattice = jnp.asarray(_lattice(SAMPLES), d[0].dtype)
 
-    def sep(n: Vec3) -> Lane:
-        return abs_(n.dot(d)) - K.support(n)
+    def towards(n: Vec3) -> Direction:
+        n = n * _towards(n, d)
+        return Direction(n, n.dot(d) - K.support(n))
 
-    known, valid = _known(K)
-    value = jnp.where(valid, sep(known), -jnp.inf)
-    which = jnp.argmax(value)
-    best, start = value[which], Vec3(*(x[which] for x in known))
-    start = start * _towards(start, d)
+    def sample(i: Lane, best: Direction) -> Direction:
+        found = towards(_across_normal(Vec3(*(lattice[i, k] for k in range(3))), normals))
+        return select(found.separation > best.separation, found, best)
 
-    on_circles = _best_on_circles(K, d)
-    value = sep(on_circles)
-    k = jnp.argmax(value)
-    better = value[k] > best + least
-    which = jnp.where(better, len(known[0]) + k, which)
-    start = select(better, Vec3(*(x[k] for x in on_circles)), start)
-    best = jnp.where(better, value[k], best)
+    def climb(normal: Vec3, _: Any, carry: tuple) -> tuple:
+        best, damping = carry
+        n, rises = _climb(K, d, best.n, normal, damping)
+        found = Direction(n, n.dot(d) - K.support(n))
+        better = rises & (found.separation > best.separation)
+        damping = damping * jnp.where(better, RISE, NO_RISE)
+        return select(better, found, best), damping
 
-    smooth = _best_on_sphere(K, d)
-    better = smooth.separation > best + least
-    which = jnp.where(better, len(known[0]) + len(K.segments), which)
-    return which, select(better, smooth.n, start)
-
-
-def _best_on_circles(K: Zonoid, d: Vec3) -> Vec3:
-    """Return the best direction orthogonal to each segment, lanes (n,)."""
-    g = _stack([g for g, _ in K.segments])
-    # the least component of a unit vector is below 0.6
-    e = [jnp.abs(x) < 0.6 for x in g]
-    axis = Vec3(jnp.where(e[0], 1.0, 0.0), jnp.where(e[0], 0.0, jnp.where(e[1], 1.0, 0.0)),
-                jnp.where(e[0] | e[1], 0.0, 1.0))  # fmt: skip
-    other = unit(axis - g * g.dot(axis), Vec3(1.0, 0.0, 0.0))
-    u = unit(d - g * g.dot(d), other)
-    w = g.cross(u)
-    step = np.pi / CIRCLE
-    angles = (np.arange(CIRCLE) + 0.5) * step - np.pi / 2
-
-    def at(angle: Lane) -> Vec3:
-        return u * jnp.cos(angle) + w * jnp.sin(angle)
-
-    def sample(i: Lane, best: tuple) -> tuple:
-        angle = jnp.asarray(angles, g[0].dtype)[i]
-        n = at(angle)
-        value = n.dot(d) - K.support(n)
-        better = value > best[0]
-        return jnp.where(better, value, best[0]), jnp.where(better, angle, best[1])
-
-    none = 0.0 * g[0]
-    _, middle = jax.lax.fori_loop(0, CIRCLE, sample, (none - jnp.inf, none))
-
-    def halve(_: Any, ends: tuple) -> tuple:
-        low, high = ends
-        angle = 0.5 * (low + high)
-        n = at(angle)
-        rising = (d - K.farthest(n)).dot(g.cross(n)) > 0
-        return jnp.where(rising, angle, low), jnp.where(rising, high, angle)
-
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (middle - step, middle + step))
-    return at(0.5 * (low + high))
+    none = 0.0 * normals[0]
+    best = jax.lax.fori_loop(0, SAMPLES, sample, Direction(normals, none - jnp.inf))
+    start = best, none + DAMPING * scale
+    best, damping = jax.lax.fori_loop(0, FIRST, functools.partial(climb, normals), start)
+    least = scale * (1e-10 if scale.dtype == jnp.float64 else 2e-6)
+    k = jnp.argmax(best.separation - jnp.where(jnp.arange(len(none)) == 0, least, 0.0))
+    start = jax.tree.map(lambda x: x[k], (best, damping))
+    climb_on = functools.partial(climb, _entry(normals, k))
+    best, _ = jax.lax.fori_loop(0, STEPS, climb_on, start)
+    values = jnp.where(valid, towards(known).separation, -jnp.inf)
+    which = jnp.argmax(values)
+    return best, k, jnp.where(values[which] >= best.separation - least, which, -1)
 
 
 def _lattice(n: int) -> np.ndarray:
@@ -218,68 +195,27 @@ def _lattice(n: int) -> np.ndarray:
     return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], -1)
 
 
-def _best_on_sphere(K: Zonoid, d: Vec3) -> Direction:
-    """Return a maximum in which no segment is orthogonal to the direction."""
-    lattice = _lattice(SPHERE)
-    zero = 0.0 * d[0]
-
-    def sample(i: Lane, best: Direction) -> Direction:
-        row = jnp.asarray(lattice, zero.dtype)[i]
-        n = Vec3(row[0], row[1], row[2])
-        n = n * _towards(n, d)
-        value = n.dot(d) - K.support(n)
-        return select(value > best.separation, Direction(n, value), best)
-
-    none = Direction(Vec3(zero, zero, zero + 1.0), zero - jnp.inf)
-    best = jax.lax.fori_loop(0, SPHERE, sample, none)
-    scale = K.size + jnp.sqrt(d.dot(d))
-
-    def climb(_: Any, carry: tuple) -> tuple:
-        best, damping = carry
-        _, x, y = contact_frame(best.n)
-        step, valid = _newton(K, d, best.n, (x, y), damping)
-        n = unit(best.n + step, best.n)
-        value = n.dot(d) - K.support(n)
-        better = valid & (value > best.separation)
-        damping = jnp.where(better, 0.2 * damping, 5.0 * damping)
-        return select(better, Direction(n, value), best), damping
-
-    return jax.lax.fori_loop(0, STEPS, climb, (best, 0.1 * scale))[0]
+def _across_normal(n: Vec3, normal: Vec3) -> Vec3:
+    """Return the direction on the circle with a normal that is nearest to n; n if it is zero."""
+    return unit(n - normal * normal.dot(n), n)
 
 
-def _newton(
-    K: Zonoid, d: Vec3, n: Vec3, axes: tuple[Vec3, Vec3], damping: Lane, circle: Lane = False
-) -> tuple[Vec3, Lane]:
-    """Return the damped Newton step from a direction, and whether it is an ascent.
+def _climb(K: Zonoid, d: Vec3, n: Vec3, normal: Vec3, damping: Lane) -> tuple[Vec3, Lane]:
+    """Return the direction after a damped Newton step on the circle with a normal, or on the sphere
+    if it is zero, and whether the step is an ascent. If not, there is no step.
 
-    On the sphere the second derivative of the separation is -(curvature + separation 1). On a
-    circle the step is along the first of the axes, which are orthogonal to n.
+    The second derivative of the separation is -(curvature + separation 1).
     """
-    x, y = axes
+    n = _across_normal(n, normal)
+    circle = normal.dot(normal) > 0.5
+    _, x, y = contact_frame(n)
+    x, y = select(circle, (normal.cross(n), normal), (x, y))
     slope = d - K.farthest(n)
     xx, xy, yy = K.curvature(n, x, y)
     shift = slope.dot(n) + damping
-    A, C = xx + shift, jnp.where(circle, 1.0, yy + shift)
+    A, B, C = xx + shift, jnp.where(circle, 0.0, xy), jnp.where(circle, 1.0, yy + shift)
     p, q = slope.dot(x), jnp.where(circle, 0.0, slope.dot(y))
-    xy = jnp.where(circle, 0.0, xy)
-    det = A * C - xy * xy
-    valid = (det > 0) & (A > 0)
-    scale = 1 / jnp.where(valid, det, 1.0)
-    return x * ((C * p - xy * q) * scale) + y * ((A * q - xy * p) * scale), valid
-
-
-def _refined(K: Zonoid, d: Vec3, start: Vec3, which: Lane) -> Vec3:
-    """Return the direction after one Newton step on the sphere or on a circle, or the start if the
-    separation along it is greater."""
-    segments = _stack([g for g, _ in K.segments])
-    k = which - len(K.discs) - len(K.segments) * (len(K.segments) - 1) // 2
-    circle = k < len(K.segments)
-    g = Vec3(*(x[jnp.clip(k, 0, len(K.segments) - 1)] for x in segments))
-    start = select(circle, unit(start - g * g.dot(start), start), start)
-    _, x, y = contact_frame(start)
-    x, y = select(circle, (g.cross(start), g), (x, y))
-    step, valid = _newton(K, d, start, (x, y), 0.0, circle)
-    moved = unit(start + step, start)
-    before, after = (n.dot(d) - K.support(n) for n in (start, moved))
-    slack = 16 * jnp.finfo(before.dtype).eps * (K.size + jnp.sqrt(d.dot(d) + TINY))
-    return select(valid & (after >= before - slack), moved, start)
+    det = A * C - B * B
+    rises = (det > 0) & (A > 0)
+    scale = jnp.where(rises, 1 / jnp.where(rises, det, 1.0), 0.0)
+    return unit(n + x * ((C * p - B * q) * scale) + y * ((A * q - B * p) * scale), n), rises

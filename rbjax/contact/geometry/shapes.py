@@ -100,8 +100,3 @@ def unit(v: Vec3, otherwise: Vec3) -> Vec3:
     square = v.dot(v)
     valid = square > TINY * TINY
     return select(valid, v * (1 / jnp.sqrt(jnp.where(valid, square, 1.0))), otherwise)
-
-
-def times(a: Vec3, b: Vec3) -> Vec3:
-    """Return the entrywise product of two vectors."""
-    return Vec3(*(x * y for x, y in zip(a, b, strict=True)))

@@ -24,7 +24,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer, real_number
+from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.formulation import formulation_of
+from rbjax.constraints.methods.soft import compliant_motion
+from rbjax.constraints.rows.soft import is_soft
 from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.geometry.detection import Contacts, contacts_at
 from rbjax.contact.impacts.impulse_equations import (
@@ -35,7 +38,7 @@ from rbjax.contact.impacts.impulse_equations import (
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impact_problem
 from rbjax.contact.impacts.joint_rows import count_joint_rows, joint_rows, joint_sources
 from rbjax.contact.impacts.time_of_impact import Touchdown, end_of_slip, touchdown
-from rbjax.contact.rows.scalar_row import FRICTION, LIMIT
+from rbjax.contact.rows.scalar_row import EQUALITY, FRICTION, LIMIT
 from rbjax.contact.solution import ContactSolution
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
@@ -185,10 +188,18 @@ class MoreauContact(Record):
             along[np.flatnonzero(kinds == kind)].sum(0) for kind in ("contact", LIMIT, FRICTION)
         )
         a = step.free + matvec(step.Y, step.p.reshape(-1)) / dt
-        equality = jnp.zeros_like(a)
+        rubs = np.array(kinds[n:] == FRICTION, bool)
+        equality, rows = jnp.zeros_like(a), jnp.where(rubs, f[n:, 1], f[n:, 0])
         if model.constraints:
-            total = forces_at(model, state.q, state.v, a, f_ext) - tau
-            equality = total - contact - limit - friction
+            pushes = tau + contact + limit + friction
+            equality = forces_at(model, state.q, state.v, a, f_ext) - pushes
+            # the forces of soft constraints do not depend on impulses within the step
+            solved, given = (
+                (compliant_motion, tau) if is_soft(model) else (constrained_motion, pushes)
+            )
+            rows = jnp.concatenate([rows, solved(model, t, state, given, f_ext)[1]])
+            for k, constraint in enumerate(model.constraints):
+                sources += ((EQUALITY, "constraint", k),) * constraint.size
         exists = step.problem.active[:n]
         force = jnp.concatenate([f[:n], jnp.zeros_like(f[:n])], -1)
         position, frame, force = (
@@ -196,7 +207,6 @@ class MoreauContact(Record):
             for x in (contacts.position, contacts.frame, force)
         )
         distance = jnp.where(exists, contacts.distance, jnp.inf)
-        rubs = np.array(kinds[n:] == FRICTION, bool)
         return ContactSolution(
             acceleration=a,
             contacts=ContactForces(exists, distance, position, frame, force, contacts.geoms),
@@ -204,7 +214,7 @@ class MoreauContact(Record):
             limit=limit,
             friction=friction,
             equality=equality,
-            rows=jnp.where(rubs, f[n:, 1], f[n:, 0]),
+            rows=rows,
             iterations=jnp.int32(self.sweeps),
             error=step.residual,
             converged=step.residual <= self.solver_tolerance(a.dtype),

@@ -84,11 +84,12 @@ def touchdown(
 
 
 def end_of_slip(problem: ImpulseProblem, p: jax.Array, slip: jax.Array) -> jax.Array:
-    """Compute the impulses (n, 2) by which the friction of contacts that begin to stick within a
-    step moves more than half of p does.
+    """Compute the friction impulses (n, 2) to add to p in the mean velocity of a step, for contacts
+    that begin to stick within the step.
 
-    Under full friction the slip would decrease from u to w < 0 over the step, linearly. It ends
-    after the part u / (u - w), and friction is full before and holds the contact after it.
+    The mean velocity of a step with constant forces has half of p. Under full friction the slip
+    would decrease linearly from u to w < 0 over the step. It ends after the part u / (u - w) of the
+    step. Friction is full before that time, and holds the contact after it.
 
     Args:
         problem: velocities without impulses, and friction.

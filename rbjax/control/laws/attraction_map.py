@@ -16,7 +16,7 @@ import numpy as np
 from rbjax.arguments import flag, integer, real_number
 from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.kinematics.arguments import check_at_least, check_several
+from rbjax.kinematics.arguments import check_not_negative, check_several
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
@@ -124,7 +124,7 @@ def region_of_attraction(
     dtype = equilibrium.q.dtype
     step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
     angles = flag(where, "angles", angles)
-    steps = round(float(check_at_least(where, "duration", duration, ())) / float(step))
+    steps = round(float(check_not_negative(where, "duration", duration, ())) / float(step))
     integer(where, "the number of steps duration / dt", steps, least=1)
     places, names, lines = _axes(where, model, axes, points, dtype)
     nx, ny = (len(line) for line in lines)

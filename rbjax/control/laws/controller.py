@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.control.laws.allocation import Allocation, allocate, check_driven
 from rbjax.dynamics.algorithms.manifold import difference
@@ -32,10 +31,9 @@ from rbjax.dynamics.arguments import (
 )
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
+from rbjax.kinematics.arguments import check_not_negative
 from rbjax.model import Model, State
 from rbjax.model.record import Record
-
-Reference = Any  # an array, or a function of t that returns one
 
 
 class Followed(NamedTuple):
@@ -187,7 +185,7 @@ class Controller(Record):
 COMPENSATE = ("rest", "motion")
 
 
-def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
+def check_controlled_model(where: str, model: Any, undriven: str) -> None:
     """Raise InputError for constraints, and for undriven dofs if `undriven` is "refuse"."""
     check_model(where, model)
     check_moves(where, model)
@@ -200,12 +198,9 @@ def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool
         check_driven(where, model, undriven)
 
 
-def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> jax.Array:
-    """Return a gain (n,) from a number or (n,); raise InputError if one is below `least`."""
-    x = check_array(where, name, value, (), (n,))
-    if not isinstance(x, jax.core.Tracer) and (np.asarray(x) < least).any():
-        raise InputError(f"{where}: {name} is {value}, expected numbers of at least {least}")
-    return jnp.broadcast_to(x, (n,))
+def gains(where: str, name: str, value: Any, n: int) -> jax.Array:
+    """Return a gain (n,) from a number or (n,). Raise InputError if one is negative."""
+    return jnp.broadcast_to(check_not_negative(where, name, value, (), (n,)), (n,))
 
 
 def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:

@@ -23,7 +23,7 @@ from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_model, check_step
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least
+from rbjax.kinematics.arguments import check_not_negative
 from rbjax.model import Model
 
 
@@ -94,7 +94,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
 
 
 def _tolerance(where: str, tolerance: Any) -> Any:
-    return None if tolerance is None else check_at_least(where, "tolerance", tolerance, ())
+    return None if tolerance is None else check_not_negative(where, "tolerance", tolerance, ())
 
 
 @compiled

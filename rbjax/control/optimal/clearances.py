@@ -23,7 +23,7 @@ from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least, check_several
+from rbjax.kinematics.arguments import check_not_negative, check_several
 from rbjax.model import Model
 from rbjax.model.record import Record
 
@@ -57,7 +57,7 @@ class Sphere(Obstacle):
 
     def __init__(self, centre: Any, radius: Any) -> None:
         self.centre = check_array("Sphere", "centre", centre, (3,))
-        self.radius = check_at_least("Sphere", "radius", radius, ())
+        self.radius = check_not_negative("Sphere", "radius", radius, ())
 
     def distance(self, points: jax.Array) -> jax.Array:
         return _norm(points - self.centre.astype(points.dtype)) - self.radius
@@ -73,7 +73,7 @@ class Capsule(Obstacle):
     def __init__(self, a: Any, b: Any, radius: Any) -> None:
         self.a = check_array("Capsule", "a", a, (3,))
         self.b = check_array("Capsule", "b", b, (3,))
-        self.radius = check_at_least("Capsule", "radius", radius, ())
+        self.radius = check_not_negative("Capsule", "radius", radius, ())
 
     def distance(self, points: jax.Array) -> jax.Array:
         a, b = self.a.astype(points.dtype), self.b.astype(points.dtype)
@@ -155,7 +155,9 @@ class Clearance(Term):
         self.obstacles, self.bodies = obstacles, tuple(names)
         offsets = jnp.zeros((k, 3)) if offsets is None else offsets
         self.offsets = check_array("Clearance", "offsets", offsets, (k, 3))
-        self.radii = jnp.broadcast_to(check_at_least("Clearance", "radii", radii, (), (k,)), (k,))
+        self.radii = jnp.broadcast_to(
+            check_not_negative("Clearance", "radii", radii, (), (k,)), (k,)
+        )
         self.margin = check_array("Clearance", "margin", margin, ())
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:

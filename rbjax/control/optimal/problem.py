@@ -23,6 +23,7 @@ from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_bound, check_several, known_array
+from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 
@@ -304,7 +305,7 @@ class Problem(Record):
                 f"Problem: the weight of {cost.term.label} has shape {w.shape}, expected () or "
                 f"the shape of its value, {value.shape}"
             )
-        return _root(w) * value if value.ndim else w * value
+        return safe_sqrt(w) * value if value.ndim else w * value
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """Return the values (c,) of a constraint at a knot."""
@@ -337,12 +338,6 @@ class Problem(Record):
     def constraints_at(self, where: str) -> list[Constraint]:
         """Return the constraints at "path" or "end"."""
         return [c for c in self.constraints if c.where in (where, "all")]
-
-
-def _root(w: jax.Array) -> jax.Array:
-    """Return the square root of a weight, with derivative 0 at 0."""
-    positive = w > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
 
 
 def _costs(name: str, given: Any) -> tuple[Cost, ...]:

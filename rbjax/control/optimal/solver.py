@@ -151,7 +151,7 @@ def solve(
             dtype.
         violation: largest accepted constraint violation, in the units of the constraints; at least
             10 eps of the dtype. float32 has too few digits for some end states of long or unstable
-            motions, such as a swing-up: these searches end as stuck near the optimum.
+            motions, such as a swing-up: these searches end without convergence near the optimum.
         seed: integer seed of methods that draw samples; use `jax.vmap` over it for many attempts.
         progress: if true, print the iterations on a terminal; ignored in traced code.
 

@@ -218,14 +218,18 @@ def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
     return d.outward(outward, Motion.zero(), left)
 
 
+def name_factors(values: Any) -> Any:
+    """Name the arrays of a pytree "factors", for policies of `jax.checkpoint`
+    (`rbjax.compiler.jax.saved`)."""
+    name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
+    return jax.tree.map(name, values)
+
+
 def named(factors: Any) -> Any:
-    """Name the factors, for policies of `jax.checkpoint` (`rbjax.compiler.jax.saved`)."""
+    """Name U and 1 / D of the factors of all links (`name_factors`)."""
 
     def one(f: Factor) -> Factor:
-        U, inverse_D = jax.tree.map(
-            lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x,
-            (f.U, f.inverse_D),
-        )
+        U, inverse_D = name_factors((f.U, f.inverse_D))
         return f._replace(U=U, inverse_D=inverse_D)
 
     return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, Factor))

@@ -189,7 +189,8 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force:
-    """Sum forces on the given links as columns over all links. `links` may contain repeats."""
+    """Sum forces by link. `links` may contain repeats. Each lane of the result is an array over all
+    links."""
     nothing = jnp.zeros(d.topology.nv, dtype)
     return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 
@@ -266,8 +267,8 @@ class LinkMotion:
         return self.driver.prepared.weld(body)
 
     def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
-        """Return, as columns over bodies that can move, the pose and the twist of the link that
-        carries each body, and the pose of the body in this link."""
+        """Return the pose and twist of the link that carries each body, and the pose of the body in
+        this link. Each lane is an array over the given bodies, which must not be fixed."""
         links = np.array(self.driver.topology.body_links)[bodies]
         pose, twist = (_row(self._columns(x), links) for x in (POSE, TWIST))
         welds = self.driver.prepared.welds
@@ -282,7 +283,7 @@ class LinkMotion:
         return float(found[0]) if equal else jnp.asarray(found, self._q.dtype)
 
     def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
-        """Sum forces on the links that carry the given bodies, as columns over all links."""
+        """Sum forces on the links that carry the given bodies. Each lane is an array over links."""
         links = np.array(self.driver.topology.body_links)[bodies]
         return over_links(self.driver, links, forces, self._q.dtype)
 
@@ -297,7 +298,7 @@ class LinkMotion:
         return list(zip(d.whole(self.joints), d.whole(d.constants), strict=True))
 
     def _columns(self, quantity: Quantity) -> Any:
-        """Compute a quantity of all links as columns. Pose and twist share one sweep."""
+        """Compute a quantity of all links, each lane an array. Pose and twist share one sweep."""
         if quantity not in self._found:
             d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
             some = (ACCELERATION,) if quantity is ACCELERATION else (POSE, TWIST)

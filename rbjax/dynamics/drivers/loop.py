@@ -125,7 +125,7 @@ def loop(
 
 
 def _columns(x: Any) -> list:
-    """Return the columns from which a leaf of the loop's inputs is computed, without literals."""
+    """Return the arrays over the iterations from which a leaf of the loop's inputs is computed."""
     if isinstance(x, PoseLane):
         return _columns(x.joint)
     found = jax.tree.leaves(x.columns) if isinstance(x, JointColumns) else [x]

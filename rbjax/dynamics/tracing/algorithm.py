@@ -44,6 +44,7 @@ def algorithm(
     multi_kernel: Callable | None = None,
     where: str = "",
     functions: tuple[str, ...] = (),
+    saves: Callable[..., bool] | None = None,
 ) -> Callable[[Callable], Callable]:
     """Return a decorator that makes f(model, *arrays, *rest) a public algorithm.
 
@@ -55,6 +56,8 @@ def algorithm(
         where: the name of the algorithm in messages, by default the name of f.
         functions: names of arguments that may be functions of (t, state) instead of arrays; such a
             function is static.
+        saves: function of the arguments: whether a reverse derivative saves the named values of the
+            forward pass (`rbjax.compiler.jax.saved`).
     """
 
     def decorate(f: Callable) -> Callable:
@@ -81,6 +84,8 @@ def algorithm(
                 return [jnp.asarray(x) for x in leaves]
 
             program, closed_over = trace(flat, moving)
+            if saves is not None and saves(*args, **kwargs):
+                program = dataclasses.replace(program, saves=True)
             if multi_kernel is not None and args[0].nv > KERNELS_ABOVE:
                 as_given = split_tracers((args, kwargs))[1]
 

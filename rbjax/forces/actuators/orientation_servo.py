@@ -19,10 +19,9 @@ from rbjax.forces.actuators.transmissions import relative_quaternion
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.reach import Arms, add_arms, arms_between
-from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
+from rbjax.lanes import Lane, Vec3, add, is_zero, mul, safe_sqrt, total
 from rbjax.model.leaves import numbers, table
 from rbjax.rotations import quaternion
-from rbjax.rotations.coefficients import length as norm
 
 
 class OrientationServo(Element):
@@ -65,7 +64,7 @@ class OrientationServo(Element):
         for row, e in zip(rows, error, strict=True):
             speed = total(mul(arm, context.v[n]) for n, arm in row.items())
             torque.append(add(add(mul(kp, e), constant), -mul(kv, speed)))
-        size = norm(sum(x * x for x in torque))
+        size = safe_sqrt(sum(x * x for x in torque))
         limit = numbers(self.strongest[None], context.q.dtype)[0]
         strong = size > limit
         share = jnp.where(strong, limit, 1.0) / jnp.where(strong, size, 1.0)
@@ -92,7 +91,7 @@ class OrientationServo(Element):
 
     def _nearest(self, phi: list[Lane]) -> list[Lane]:
         """Compute the rotation vector of the same orientation whose angle is at most pi."""
-        angle = norm(sum(x * x for x in phi))
+        angle = safe_sqrt(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
         share = jnp.where(far, 1 - turns / jnp.where(far, angle, 1.0), 1.0)

@@ -27,6 +27,7 @@ from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, columns_of
+from rbjax.forces.joints.polynomials import row_lanes
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
@@ -131,7 +132,7 @@ class JointCurves(Element):
         columns, out = [table(x, dtype) for x in given], {}
         for row, joint in enumerate(map(context.joint, self.joints)):
             x, _, _ = self._place(context, row)
-            c, F = series(_row(torque, row), x), series(_row(coulomb, row), x)
+            c, F = series(row_lanes(torque, row), x), series(row_lanes(coulomb, row), x)
             s, v_s, v_0 = (lane(column, row) for column in columns)
             (v,) = joint.v
             if not is_zero(F):
@@ -141,12 +142,12 @@ class JointCurves(Element):
         return Loads(out)
 
     def energy(self, context: Context) -> Lane:
-        """Compute the energy, the integral of c from the middle of the range."""
+        """Compute the energy, the integral of the torque c from the middle of the range."""
         torque = table(self.torque, context.q.dtype)
 
         def stored(row: int) -> Lane:
             x, half, beyond = self._place(context, row)
-            c = _row(torque, row)
+            c = row_lanes(torque, row)
             return add(mul(half, integral(c, x)), mul(beyond, series(c, x)))
 
         return total(stored(row) for row in range(len(self.joints)))
@@ -184,7 +185,3 @@ def _chebyshev(x: Lane, n: int) -> list[Lane]:
     while len(T) < n:
         T.append(2.0 * x * T[-1] - T[-2])
     return T[:n]
-
-
-def _row(numbers: jax.Array, i: int) -> list[Lane]:
-    return [lane(numbers[:, k], i) for k in range(numbers.shape[1])]

@@ -32,12 +32,12 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, JointState
 from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, sub, total
+from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, safe_sqrt, sub, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
-from rbjax.rotations.coefficients import length, where
+from rbjax.rotations.coefficients import where
 
 
 class JointLimits(Element):
@@ -114,9 +114,9 @@ class JointLimits(Element):
             if joint.kind != "ball" and _apart(lower, upper):
                 yield n, joint, *_nearer(x, lower, upper)
                 continue
-            if joint.kind != "ball" and not _infinite(low):
+            if joint.kind != "ball" and not is_infinite(low):
                 yield n, joint, sub(lower, x), [neg(a) for a in axis]
-            if not _infinite(high):
+            if not is_infinite(high):
                 yield n, joint, sub(x, upper), axis
 
 
@@ -154,7 +154,7 @@ def _coordinate(joint: JointState) -> tuple[Lane, list[Lane]]:
             "coordinate, such as hinges and slides"
         )
     turn = quaternion.log_lanes(list(joint.q))
-    angle = length(inner(turn, turn))
+    angle = safe_sqrt(inner(turn, turn))
     scale = 1 / where(angle > 0, angle, jnp.ones_like(angle))
     return angle, [x * scale for x in turn]
 
@@ -175,7 +175,8 @@ def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
     return side * (x - end), [side]
 
 
-def _infinite(x: Lane) -> bool:
+def is_infinite(x: Lane) -> bool:
+    """Return whether a lane is an infinite literal, such as the end of an unlimited range."""
     return is_literal(x) and bool(np.isinf(x))
 
 

@@ -29,11 +29,10 @@ from rbjax.dynamics.algorithms.manifold import difference_lanes
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
 from rbjax.forces.slopes import Slope
-from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
+from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, safe_sqrt, total
 from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
-from rbjax.rotations.coefficients import length
 
 
 class JointPolynomials(Element):
@@ -82,7 +81,7 @@ class JointPolynomials(Element):
         damping, row = table(self.damping, context.v.dtype), 0
         for joint in map(context.joint, self.joints):
             for i, v in enumerate(joint.v, joint.start):
-                coefficients = _row(damping, row)
+                coefficients = row_lanes(damping, row)
                 if not all(map(is_zero, coefficients)):
                     size = [jnp.abs(v)] if self.lowest or len(coefficients) > 1 else [v]
                     drag = mul(self._polynomial(coefficients, size), v)
@@ -101,7 +100,7 @@ class JointPolynomials(Element):
         for joint in map(context.joint, self.joints):
             for i, v in enumerate(joint.v, joint.start):
                 k = stiffness.get(i, 0.0)
-                coefficients = _row(damping, len(out))
+                coefficients = row_lanes(damping, len(out))
                 shares = [mul(n, c) for n, c in enumerate(coefficients, self.lowest + 1)]
                 speed = [jnp.abs(v)] if self.lowest or len(shares) > 1 else [v]
                 out.append(Slope({i: 1.0}, k, self._polynomial(shares, speed)))
@@ -121,7 +120,7 @@ class JointPolynomials(Element):
         spring for its translation and one for its rotation."""
         stiffness, out = table(self.stiffness, context.q.dtype), []
         for row, name in enumerate(self.joints):
-            coefficients = _row(stiffness, row)
+            coefficients = row_lanes(stiffness, row)
             if all(map(is_zero, coefficients)):
                 continue
             index = context.model.joint(name)
@@ -133,7 +132,7 @@ class JointPolynomials(Element):
         """Evaluate the polynomial in x, or in the length of a vector x."""
         if not self.lowest and len(coefficients) == 1:
             return coefficients[0]
-        size = x[0] if len(x) == 1 else length(inner(x, x))
+        size = x[0] if len(x) == 1 else safe_sqrt(inner(x, x))
         if self.lowest:
             return polynomial(coefficients, size)
         return add(coefficients[0], polynomial(coefficients[1:], size))
@@ -172,5 +171,6 @@ def polynomial(coefficients: Sequence[Lane], x: Lane) -> Lane:
     return out
 
 
-def _row(numbers: jax.Array, i: int) -> list[Lane]:
+def row_lanes(numbers: jax.Array, i: int) -> list[Lane]:
+    """Return row i of a table (n, k) as lanes."""
     return [lane(numbers[:, k], i) for k in range(numbers.shape[1])]

@@ -18,7 +18,7 @@ from rbjax.forces.element import Element, Loads
 from rbjax.forces.joints.polynomials import polynomial
 from rbjax.forces.place import Place
 from rbjax.forces.slopes import Slope
-from rbjax.forces.springs import PointSpring, coefficients, stretch
+from rbjax.forces.springs import PointSpring, coefficients, stretch, stretch_energy
 from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model import Model
@@ -123,9 +123,7 @@ def _energy(context: Context, i: int, k: list[Lane]) -> Lane:
         return direct.energy(context)
     if all(map(is_zero, k)):
         return 0.0
-    x = _stretch(context, i, tendon_reach(context, i).length)
-    shares = [mul(1 / n, c) for n, c in enumerate(k, 2)]
-    return mul(add(shares[0], polynomial(shares[1:], x)), x * x)
+    return stretch_energy(k, _stretch(context, i, tendon_reach(context, i).length))
 
 
 def _stretch(context: Context, i: int, length: Lane) -> Lane:

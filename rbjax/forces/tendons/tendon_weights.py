@@ -86,7 +86,11 @@ def _updated(model: Model) -> tuple[jax.Array, list[tuple[jax.Array, jax.Array]]
 
 
 def _weights(model: Model) -> jax.Array:
-    J, inverse = tendon_jacobian(model, model.joints.reference), _updated(model)[0]
+    return row_weights(tendon_jacobian(model, model.joints.reference), _updated(model)[0])
+
+
+def row_weights(J: jax.Array, inverse: jax.Array) -> jax.Array:
+    """Compute diag(J M^-1 J^T) (n,) of rows J (n, nv) from the inverse mass matrix (nv, nv)."""
     return (J[:, :, None] * inverse * J[:, None, :]).sum((1, 2)) if J.size else jnp.zeros(len(J))
 
 

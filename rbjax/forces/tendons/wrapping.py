@@ -34,7 +34,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from rbjax.forces.reach import distance
-from rbjax.lanes import Lane, Vec3, is_literal, sub
+from rbjax.lanes import Lane, Vec3, is_literal, safe_sqrt, sub
 from rbjax.rotations.coefficients import where
 
 _STEPS = 12  # of Newton's method; 7 are enough unless a point is within 1e-4 r of the surface
@@ -89,7 +89,7 @@ def wrapped(
     normal, sine = _plane(start, end, axis, dtype)
     outside = (aa >= rr) & (bb >= rr)
     angle = jnp.arctan2(sine, where(outside, ab, jnp.ones_like(ab)))  # G
-    s0, s1 = _root(aa - rr), _root(bb - rr)
+    s0, s1 = safe_sqrt(aa - rr), safe_sqrt(bb - rr)
     arc = angle + jnp.arctan2(r, s0) + jnp.arctan2(r, s1) - jnp.pi
     hits = arc > 0
     sense: Lane = 1.0
@@ -116,7 +116,7 @@ def wrapped(
         # cos(pi/2) is not zero in floating point
         cosine = jnp.cos(t) if inside is True else where(inside, jnp.cos(t), jnp.zeros_like(t))
         rho = r * jnp.sin(t)
-        s0, s1 = _root(aa - rho * rho), _root(bb - rho * rho)
+        s0, s1 = safe_sqrt(aa - rho * rho), safe_sqrt(bb - rho * rho)
         turned = angle + jnp.arctan2(rho, s0) + jnp.arctan2(rho, s1) - 2 * t
         arc = turned if inside is True else where(inside, turned, arc)
     length = s0 + s1 + rho * arc
@@ -165,7 +165,7 @@ def _incidence(r: Lane, l0: Lane, l1: Lane, angle: Lane) -> Lane:
 
     def step(t: Lane, a: Lane, b: Lane, angle: Lane) -> Lane:
         sine, cosine = jnp.sin(t), jnp.cos(t)
-        x, y = _root(1 - (a * sine) ** 2), _root(1 - (b * sine) ** 2)
+        x, y = safe_sqrt(1 - (a * sine) ** 2), safe_sqrt(1 - (b * sine) ** 2)
         value = angle + jnp.arctan2(a * sine, x) + jnp.arctan2(b * sine, y) - 2 * t
         slope = cosine * (a / _above(x, 0.0) + b / _above(y, 0.0)) - 2
         return t - value / where(slope < 0, slope, -jnp.ones_like(slope))
@@ -176,12 +176,6 @@ def _incidence(r: Lane, l0: Lane, l1: Lane, angle: Lane) -> Lane:
     t = lax.fori_loop(0, _STEPS, lambda _, t: step(t, *fixed), start)
     t = step(lax.stop_gradient(t), a, b, angle)
     return step(t, a, b, angle)
-
-
-def _root(square: Lane) -> Lane:
-    """Compute the square root, 0 below 0, with the derivative 0 at 0."""
-    some = square > 0
-    return where(some, jnp.sqrt(where(some, square, jnp.ones_like(square))), jnp.zeros_like(square))
 
 
 def _above(x: Lane, low: Lane) -> Lane:

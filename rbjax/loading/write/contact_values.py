@@ -77,7 +77,8 @@ def _write_rows(elements: Sequence[ET.Element], own: Any, old: Any, names: dict[
 
 
 def contact_leaves(model: Model, again: Model) -> Iterator[tuple[str, Any, Any]]:
-    """Iterate over the leaves of both models that the file must give, by name."""
+    """Iterate over (name, value, value read back) of the contact parameters that a written file
+    must reproduce. again: the model that was read from the file."""
     if model.geoms is not None:
         names = ["size", "position", *LEAVES, *(f"pair_{key}" for key in PAIR_LEAVES)]
         for name in names:

@@ -100,7 +100,8 @@ def _volume(draft: Draft, sensor: Any) -> dict[str, str] | None:
 
 
 def _site_of_volume(draft: Draft, frame: Any, volume: sensors.Volume) -> dict[str, str] | None:
-    """Write the shape of a site, unless it has another one. Return the attribute of the site."""
+    """Give the site of a frame the shape of a volume. Return the attribute that names the site, or
+    None if the site already has another shape."""
     name = _site(draft, frame)
     shape = {"type": volume.kind, "size": text(np.array(volume.size))}
     element = next(x for x in draft.world.iter("site") if x.get("name") == name)

@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.arguments import instance, integer, real_array, real_number
 from rbjax.errors import InputError
+from rbjax.lanes import safe_sqrt
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.occupancy import DistanceField
@@ -53,10 +54,7 @@ class Footprint(Record):
     @property
     def reach(self) -> jax.Array:
         """The largest distance () of a covered point from the frame's origin, m."""
-        square = (self.centers**2).sum(-1)
-        off = square > 0  # a norm has no derivative at zero
-        far = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
-        return largest(far + self.radii)
+        return largest(safe_sqrt((self.centers**2).sum(-1)) + self.radii)
 
     @classmethod
     def disc(cls, radius: float) -> Footprint:

@@ -27,6 +27,7 @@ import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.errors import InputError
+from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.planning.maps.ros_map import read
 
@@ -61,9 +62,7 @@ class DistanceField(Record):
         """Compute a lower bound (...) of the distance at points (..., 2), m."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
-        square = (u - i) ** 2 + (v - j) ** 2
-        off = square > 0  # at a centre the bound is not smooth
-        off = self.resolution * jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
+        off = self.resolution * safe_sqrt((u - i) ** 2 + (v - j) ** 2)
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -74,9 +73,7 @@ class DistanceField(Record):
         nx, ny = self.values.shape
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
-        square = (u - inside) ** 2 + (v - also) ** 2
-        beyond = square > 0
-        away = jnp.where(beyond, jnp.sqrt(jnp.where(beyond, square, 1.0)), 0.0)
+        away = safe_sqrt((u - inside) ** 2 + (v - also) ** 2)
         return inside, also, self.resolution * away
 
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from rbjax.arguments import instance, integer, real_number, shown
 from rbjax.errors import InputError
+from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
@@ -132,7 +133,7 @@ class Path(Record):
     def lengths(self) -> jax.Array:
         """Path lengths (..., n), m, of the frame's origin in each step."""
         square = self.steps[..., 0] ** 2 + self.steps[..., 1] ** 2
-        return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+        return safe_sqrt(square)
 
     @property
     def length(self) -> jax.Array:

@@ -30,6 +30,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes import safe_sqrt
+
 QUARTER = math.pi / 2
 #: tolerance beyond the range of a root or an arc cosine, in units of the last place
 SLACK = 64.0
@@ -50,17 +52,13 @@ class Word(NamedTuple):
 
 def _polar(x, y):
     """Compute the polar coordinates (r, theta) of a point, with zero derivatives at the origin."""
-    square = x * x + y * y
-    origin = square == 0
-    r = jnp.where(origin, 0.0, jnp.sqrt(jnp.where(origin, 1.0, square)))
-    return r, jnp.arctan2(y, jnp.where(origin, 1.0, x))
+    r = safe_sqrt(x * x + y * y)
+    return r, jnp.arctan2(y, jnp.where(r == 0, 1.0, x))
 
 
 def _root(square):
     """Compute a square root, and whether it exists. At zero its derivative is zero."""
-    inside = square > 0
-    root = jnp.where(inside, jnp.sqrt(jnp.where(inside, square, 1.0)), 0.0)
-    return root, square >= -SLACK * jnp.finfo(square.dtype).eps
+    return safe_sqrt(square), square >= -SLACK * jnp.finfo(square.dtype).eps
 
 
 def _arccos(c):

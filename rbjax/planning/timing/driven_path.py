@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.lanes import safe_sqrt
 from rbjax.lanes.arrays import largest
 from rbjax.model import State
 from rbjax.planning.paths.path import Path
@@ -117,7 +118,7 @@ def drive_along(model: RobotModel, limits: Limits, path: Path) -> DrivenPath:
     steerings, dtype = robot.layout.steerings, path.steps.dtype
     one = jnp.ones((), dtype)
     unit = jnp.stack([one, one, reach_of(model, dtype)])
-    size = _norm(steps * unit)
+    size = safe_sqrt(((steps * unit) ** 2).sum(-1))
     moves = size > 0
     twist = steps / jnp.where(moves, size, 1.0)[:, None]
     # a step of zeros copies the direction of the previous step, so it has no effect
@@ -166,12 +167,7 @@ def drive_along(model: RobotModel, limits: Limits, path: Path) -> DrivenPath:
 def reach_of(model: RobotModel, dtype) -> jax.Array:
     """Compute the largest distance of a wheel of the chassis from its origin, m."""
     places = [jnp.asarray(w.position, dtype) for w in model.robot.wheels if w.body == 0]
-    return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
-
-
-def _norm(x: jax.Array) -> jax.Array:
-    square = (x * x).sum(-1)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    return jnp.maximum(largest(safe_sqrt((jnp.stack(places) ** 2).sum(-1))), 1e-2)
 
 
 def _held(rows: jax.Array, known: jax.Array) -> jax.Array:

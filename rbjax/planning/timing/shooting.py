@@ -29,6 +29,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes import safe_sqrt
 from rbjax.model import State
 from rbjax.planning.maps.footprint import Footprint, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
@@ -124,8 +125,7 @@ class Shooting(NamedTuple):
     def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
         """Compute the inequality constraints b of a state. due: (discs,) m, required clearances."""
         x, y, turn = self.twist(z)
-        square = x * x + y * y
-        speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+        speed = safe_sqrt(x * x + y * y)
         both = jnp.append(z[self.model.robot.layout.steerings] / self.limits.steering,
                           turn / self.limits.turn_rate)  # fmt: skip
         rows = [(speed / self.limits.speed)[None] - 1, both - 1, -both - 1]

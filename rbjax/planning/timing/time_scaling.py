@@ -24,6 +24,7 @@ import jax.numpy as jnp
 
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
+from rbjax.lanes import safe_sqrt
 from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, cast_floats
 from rbjax.planning.paths.path import Path
@@ -197,7 +198,7 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
 def _timed(model: RobotModel, p: DrivenPath, limits: Limits, x: jax.Array) -> Timed:
     """Make the motion with x = s'^2 (n + 1,) at the ends of the steps."""
     n = len(p.size)
-    speed = jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
+    speed = safe_sqrt(x)
     both = speed[1:] + speed[:-1]
     runs = (p.size > 0) & (both > 0)
     drive = jnp.where(runs, 2 * p.size / jnp.where(runs, both, 1.0), 0.0)

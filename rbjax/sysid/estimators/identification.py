@@ -16,8 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance, integer, real_number
+from rbjax.contact.impact_bias import RAMP, jumps_at_touch
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording, noise_is_stated
@@ -192,8 +194,21 @@ def _result(stages: StagedFit, best: Fit, dtype: Any) -> Identified:
             minimum.status, best.traces, runs, statistics.coloured,
             robust=stages.options.loss == "huber",
         ),
-        notes=tuple(stages.notes), options=stages.options,
+        notes=(*stages.notes, *_notes_on_impacts(stages)), options=stages.options,
     )  # fmt: skip
+
+
+def _notes_on_impacts(stages: StagedFit) -> list[str]:
+    """Note that the derivatives of impacts are biased, if they are taken."""
+    model = stages.setup.model
+    law = dynamics_of("identify", model, free_motion, None)
+    if stages.options.difference_step is not None or not jumps_at_touch(model, law):
+        return []
+    return [
+        "the force of the contacts jumps at touch: if contacts begin within the recordings, the "
+        "derivatives are biased and the fit may end early; take difference_step=0.03, or geoms "
+        f"with solimp={RAMP!r}"
+    ]
 
 
 @in_double

@@ -164,7 +164,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path, given: Mapping[str, Any]) -> Path:
-    """Return the folder of the results, and check that it is within the folder of the file."""
+    """Return the folder of the results. Check that it is within the folder of the job file."""
     name = given.get("output", {}).get("folder", path.stem)
     at = path.parent.resolve()
     if not (at / name).resolve().is_relative_to(at):

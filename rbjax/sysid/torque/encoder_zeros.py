@@ -37,11 +37,11 @@ class WithZeros(HasStatus):
     """The result of `regress_with_zeros`.
 
     Fields:
-        regression: regression on the parameters and the last changes of the zeros.
+        regression: the last linear regression, for the parameters and the changes of the zeros.
         parameters: (p,) estimates, equal to the prior in unidentifiable directions.
         zeros: name of the recording -> (nv,) zeros in rad or m.
         noise: (nv,) standard deviation of the torques.
-        squares: weighted sum of squares of the data.
+        squares: weighted sum of squares of the torque residuals.
         steps: number of linear regressions.
         status: a `FitStatus`.
     """

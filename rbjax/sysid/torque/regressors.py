@@ -73,8 +73,8 @@ def regressor(
         joint_terms: names from "armature", "viscous", "coulomb", "bias", "gear_loss". Each term
             adds one column for every joint coordinate, except for free joints.
         smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
-            as in a real drive. A step that is wider than the drive's biases the viscous friction
-            towards small values. For simulated data use the smoothing of the simulated friction.
+            as in a real drive. If v_0 is larger than in the real drive, the estimated viscous
+            friction is too small. For simulated data use the smoothing of the simulated friction.
         tau: (nv,) measured torques, required by "gear_loss".
 
     Returns:

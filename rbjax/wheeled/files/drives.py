@@ -23,7 +23,6 @@ from rbjax.wheeled.robot.motors import Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Drive
 
 #: the wheels of a drive: a name or pattern, or a tuple of them behind one differential
-Driven = str | tuple[str, ...]
 _FIX = "give drives={'a wheel': a Motor, ('left', 'right'): a Motor on a differential}"
 
 

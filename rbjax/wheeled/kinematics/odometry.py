@@ -20,6 +20,7 @@ from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
+from rbjax.lanes import safe_sqrt
 from rbjax.lanes.arrays import matmat, matvec
 from rbjax.model.record import Record
 from rbjax.wheeled.fields import check_ranges, number
@@ -87,7 +88,7 @@ class HeadingSlip(Record):
     def terms(self, twist: Any) -> jax.Array:
         """Compute the terms z (..., terms) from twists u (..., 3)."""
         u = jnp.asarray(twist)
-        s = _length(u[..., :2])
+        s = safe_sqrt((u[..., :2] ** 2).sum(-1))
         some = jnp.where(s > 0, s, 1.0)
         e = jnp.stack([jnp.where(s > 0, u[..., 0] / some, 1.0), u[..., 1] / some], -1)
         waves = [jnp.ones_like(s), e[..., 0], e[..., 1]]
@@ -317,8 +318,3 @@ def _turned(angle: jax.Array, v: jax.Array) -> jax.Array:
 def _chord(angle: jax.Array) -> jax.Array:
     """Compute the ratio of the chord to the arc, sin(a / 2) / (a / 2)."""
     return jnp.sinc(angle / (2 * jnp.pi))
-
-
-def _length(v: jax.Array) -> jax.Array:
-    square = (v * v).sum(-1)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -111,7 +111,7 @@ def with_lanes(part: Any, dtype: Any) -> Any:
 
 
 def lane_of_leaf(x: Any, dtype: Any) -> Any:
-    """Convert a number to a lane. An array, with one number for each axis, remains an array."""
+    """Convert a scalar to a lane. An array with one entry for each axis stays an array."""
     return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
 

@@ -86,6 +86,7 @@ class IterationValues(NamedTuple):
     costs: jax.Array  # (T,), of the trials
     violations: jax.Array  # (T,)
     more: Any  # further values of the method
+    noise: jax.Array | None = None  # (), of the cost, by the rounding of the constraints
 
 
 class Decision(NamedTuple):
@@ -217,12 +218,23 @@ def _small(
     """Return whether the search has converged, by the expected decrease of the cost and the
     gradient.
 
-    The gradient has to be small only if the control Hessians are regularised.
+    The gradient has to be small only if the control Hessians are regularised. With constraints, a
+    decrease below the error of the cost by rounded constraints is none.
 
     tolerance: relative to `share`, the scale of the cost.
     """
     flat = jnp.sqrt(values.square) <= jnp.sqrt(tolerance) * share
-    return values.ok & (decrease <= tolerance * share) & ((now.reg <= LEAST) | flat)
+    least = tolerance * share
+    if values.noise is not None:
+        least = jnp.maximum(least, values.noise)
+    return values.ok & (decrease <= least) & ((now.reg <= LEAST) | flat)
+
+
+def cost_noise(multipliers: Multipliers) -> jax.Array:
+    """Return the error () of the cost by constraints that are met to `FLOOR` units in the last
+    place of 1. The multipliers are the derivatives of the cost with respect to the constraints."""
+    squares = (multipliers.path**2).sum() + (multipliers.end**2).sum()
+    return FLOOR * jnp.finfo(squares.dtype).eps * jnp.sqrt(squares)
 
 
 def count_stalled(
@@ -347,6 +359,7 @@ def iterate(
             IterationValues(
                 found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.square,
                 gains.ok, trials.costs, trials.violations, trials.more,
+                cost_noise(now.multipliers) if constrained else None,
             ),
         )  # fmt: skip
         knots, ctrls = policy.apply(problem, now, trials, decided)
