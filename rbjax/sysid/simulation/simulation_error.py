@@ -114,7 +114,9 @@ def make_programs(
             def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
                 return jax.jvp(lambda x: compare(*simulate(x, run, count), run), (x,), (e,))
 
-            return jax.vmap(along, out_axes=(None, 1))(jnp.asarray(seeds, x.dtype))
+            # the residuals are those of any direction; derivatives of contacts batch them
+            found, slopes = jax.vmap(along, out_axes=(0, 1))(jnp.asarray(seeds, x.dtype))
+            return found[0], slopes
 
         return jax.vmap(each)(x, runs)
 
