@@ -74,7 +74,8 @@ PRESSED = """<mujoco><option timestep="0.005" cone="elliptic"/><worldbody>
   <body name="box" pos="0 0 0.099"><joint name="z" type="slide" axis="0 0 1"/>
     <geom type="box" size="0.1 0.1 0.1" mass="{}"/>
     <site name="pad" type="box" size="0.11 0.11 0.11"/></body></worldbody>
-  <actuator><motor joint="z"/></actuator><sensor><touch name="touch" site="pad"/></sensor></mujoco>"""
+  <actuator><motor joint="z"/></actuator><sensor><touch name="touch" site="pad"/></sensor>
+  </mujoco>"""
 
 
 def test_the_mass_of_a_pressed_box_is_found_by_its_touch_sensor() -> None:
