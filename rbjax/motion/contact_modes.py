@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler.jax.function import one_program
 from rbjax.contact.geometry.detection import Contacts, contacts_at
 from rbjax.contact.impacts.impulse_equations import ImpulseProblem
 from rbjax.contact.impacts.impulses import impact, impact_problem
@@ -81,9 +82,9 @@ class ContactSystem(eqx.Module):
 
     @functools.cached_property
     def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactForces]]:
-        """The function (t, y, mode) -> v', x' and the contacts. Its jit saves time of tracing: all
-        loops of a motion share one program and its derivative."""
-        return jax.jit(lambda t, y, mode: self._motion(t, y, mode))
+        """The function (t, y, mode) -> v', x' and the contacts. All loops of a motion share its
+        program and derivatives, which saves time of compilation."""
+        return one_program(lambda t, y, mode: self._motion(t, y, mode))
 
     def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
         at, t = self.unit(y), self.start + t
