@@ -32,6 +32,8 @@ from rbjax.motion.term import configuration_rate, unit_quaternions
 
 #: a force that counts as zero, N
 TINY = 1e-12
+#: the largest number of contacts for which one program for all loops compiles faster
+FEW = 4
 
 
 class Mode(NamedTuple):
@@ -83,8 +85,9 @@ class ContactSystem(eqx.Module):
     @functools.cached_property
     def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactForces]]:
         """The function (t, y, mode) -> v', x' and the contacts. All loops of a motion share its
-        program and derivatives, which saves time of compilation."""
-        return one_program(lambda t, y, mode: self._motion(t, y, mode))
+        trace, and for few contacts its program and derivatives, which compiles faster."""
+        shared = one_program if len(self.friction) <= FEW else jax.jit
+        return shared(lambda t, y, mode: self._motion(t, y, mode))
 
     def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
         at, t = self.unit(y), self.start + t
