@@ -359,9 +359,9 @@ def bench(
 
 
 def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
-    from rbjax.validation.ours import cast
+    from rbjax.model.record import cast_floats
 
-    model, q, v = cast((model, samples.q, samples.v), dtype)
+    model, q, v = cast_floats((model, samples.q, samples.v), dtype)
     run = jax.jit(jax.vmap(rb.forward_dynamics, (None, 0, 0, 0)))
     jax.block_until_ready(run(model, q, v, v))
     times = []

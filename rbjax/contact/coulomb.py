@@ -3,8 +3,9 @@
     v+ = v + h a,   a the solution of the contact problem with latched friction (`latched_disc`)
 The normal rows are those of MuJoCo's law. Friction is implicit in the velocity after the step and
 limited by the normal force, which friction does not change directly. The latched forces F follow by
-the fixed-point iteration F <- f_0(a(F)), from the forces of the last step. It converges at the rate
-mu |A_nt| / A_nn of the inverse inertias at the contacts, and fails as Painleve's paradox does.
+the fixed-point iteration F <- f_0(a(F)) with Anderson's acceleration, from the forces of the last
+step. Without acceleration it converges at the rate mu |A_nt| / A_nn of the inverse inertias at the
+contacts, and fails as Painleve's paradox does.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.arguments import integer, real_number
 from rbjax.contact.assemble import Assembly
@@ -38,21 +40,22 @@ from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
 from rbjax.lanes import batch_first, pack
 from rbjax.model import Model, State
+from rbjax.solvers.anderson import History, accelerate
 
 #: bytes of a number -> the relative change of the latched forces at which the iteration ends
 LATCHED = {4: 1e-5, 8: 1e-11}
-#: the number of fixed-point iterations of the derivative
-LINEAR = 24
 
 
 class _Found(NamedTuple):
     """The result of the iteration on the normal forces: the solution, the normal forces that bound
-    the friction in each set, their relative change in the last round, and the number of rounds."""
+    the friction in each set, their relative change in the last round, the number of rounds, and
+    the history that accelerates them, None without friction."""
 
     solution: Solution
     latches: list[jax.Array]
     error: jax.Array
     rounds: jax.Array
+    history: History | None
 
 
 @dataclass(frozen=True)
@@ -280,7 +283,7 @@ def _latched(problem: Problem, latches: list[jax.Array]) -> Problem:
 
 def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
     """Iterate the normal forces that bound friction, until they are the normal forces of the
-    solution."""
+    solution: F <- f(F), with Anderson's acceleration."""
     dtype = problem.dtype
     tiny, bound = jnp.finfo(dtype).tiny, LATCHED[jnp.dtype(dtype).itemsize]
 
@@ -298,7 +301,14 @@ def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
             change = jnp.maximum(change, jnp.abs(f - old).max(initial=0.0))
             size = jnp.maximum(size, f.max(initial=0.0))
             new.append(f)
-        return _Found(found, new, change / size, at.rounds + 1)
+        error = change / size
+        latches, history = new, at.history
+        if history is not None:
+            f = jnp.concatenate(new)
+            ahead, history = accelerate(history, jnp.concatenate(at.latches), f, error)
+            ahead = jnp.where(error <= bound, f, jnp.maximum(ahead, 0.0))
+            latches = jnp.split(ahead, np.cumsum([len(x) for x in new])[:-1])
+        return _Found(found, latches, error, at.rounds + 1, history)
 
     def unfinished(at: _Found) -> jax.Array:
         return (at.error > bound) & (at.rounds < rounds)
@@ -308,14 +318,15 @@ def _iterate(problem: Problem, rounds: int, iterations: int) -> _Found:
                  zip(problem.sets, problem.slots, strict=True)]  # fmt: skip
     none = Solution(jnp.zeros(len(problem.rhs), dtype), jnp.int32(0), infinite, residuals)
     latches = [slots.latches for _, slots in _discs(problem)]
-    return jax.lax.while_loop(unfinished, step, _Found(none, latches, infinite, jnp.int32(0)))
+    history = History.start(jnp.concatenate(latches)) if latches else None
+    start = _Found(none, latches, infinite, jnp.int32(0), history)
+    return jax.lax.while_loop(unfinished, step, start)
 
 
 def _linear_solver(problem: Problem, solution: Solution) -> Any:
     """Return the function b -> (-d equation / dx)^-1 b, if friction f depends on normal forces F.
 
-    It iterates H y_k+1 = b + J^T (df / dF) dF(y_k), with H the matrix at constant normal forces.
-    This converges as fast as the iteration of the normal forces in the solver.
+    It solves H y = b + J^T (df / dF) dF(y), with H the matrix at constant normal forces.
     """
     factors = factorize_at(problem, solution)
     tree, dtype = problem.tree, problem.dtype
@@ -338,13 +349,11 @@ def _linear_solver(problem: Problem, solution: Solution) -> Any:
             wrenches = slots.scan(push, wrenches)
         return pack(tree.generalized(wrenches), y)
 
-    def change(b: jax.Array) -> jax.Array:
-        if not _discs(problem):
-            return factors.solve(b)
-        again = lambda y, _: (factors.solve(b + coupled(y)), None)  # noqa: E731
-        return jax.lax.scan(again, factors.solve(b), None, length=LINEAR)[0]
-
-    return change
+    if not _discs(problem):
+        return factors.solve
+    unit = jnp.eye(len(problem.rhs), dtype=dtype)
+    columns = jax.lax.map(lambda y: y - factors.solve(coupled(y)), unit)
+    return lambda b: jnp.linalg.solve(columns.T, factors.solve(b))
 
 
 def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:

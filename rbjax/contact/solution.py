@@ -70,8 +70,11 @@ KINDS = (LIMIT, FRICTION, EQUALITY)
 
 
 class SolutionArrays(NamedTuple):
-    """The arrays of a solution, of one dtype: those of `ContactSolution`, and the rows of
-    `contact_forces`. by_kind: the generalized forces of `KINDS`."""
+    """The arrays from which `ContactSolution` is built, all of one dtype.
+
+    contacts: (n, 20) the table of `contact_forces`. by_kind: the generalized forces (nv,) of each
+        kind of `KINDS`. The other fields are those of `ContactSolution`.
+    """
 
     contacts: jax.Array
     contact: jax.Array

@@ -97,7 +97,8 @@ class ContactSystem(eqx.Module):
             lambda s: self.slip(retract(self.model, at.q, s * at.v), at.v),
             (jnp.zeros((), at.q.dtype),), (jnp.ones((), at.q.dtype),),
         )  # fmt: skip
-        J, problem, Y = impact_problem(self.model, at.q, at.v, contacts, self.friction, t)
+        problem = impact_problem(self.model, at.q, at.v, contacts, self.friction, t)
+        J, Y = problem.J, problem.Y
         free = matvec(J, a) + bias
         f = kept_forces(problem.D, free, problem.u, self.friction, mode)
         return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, J, problem, Y, f)
@@ -218,7 +219,7 @@ def transition(
     active = closed | mode.kept | (touches & closed.any())
     bounces = e * (u[:, 0] < -rest)
     problem = now.problem._replace(active=active)
-    v, _, residual, fine = impact(problem, now.Y, at.v, bounces, law)
+    v, _, residual, fine = impact(problem, at.v, bounces, law)
     hit = closed.any()
     after = State(y.q, jnp.where(hit, v, y.v), y.x)
     u = matvec(found.J, jax.lax.stop_gradient(after.v))

@@ -38,7 +38,7 @@ class ImplicitVelocity:
     """Integrator of `rollout` that is implicit in the velocity.
 
     name: the integrator's name.
-    of: the class of force elements whose damping is in D.
+    of: the class of force elements whose damping is in the matrix D of the module's formula.
     """
 
     name: str

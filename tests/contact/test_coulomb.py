@@ -103,6 +103,40 @@ def test_the_derivative_is_implicit():
     assert relative_error(both, jnp.vdot(w, rate)) < F64_IDENTITY
 
 
+#: a rod at 45 degrees whose tip touches the floor
+ROD = """<mujoco><worldbody>
+<geom name="floor" type="plane" size="0 0 1" contype="0" conaffinity="0"/><body pos="0 0 1">
+<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/><joint axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia=".1 .6667 .6667"/>
+<geom name="tip" size=".01" pos="1 0 -.9901" mass="0" contype="0" conaffinity="0"/></body>
+</worldbody>
+<contact><pair geom1="floor" geom2="tip" friction="{mu} {mu}"/></contact></mujoco>"""
+
+
+@pytest.mark.parametrize(("speed", "mu"), [(-3.0, 1.5), (3.0, 1.5), (-3.0, 3.0)])
+def test_a_rod_whose_friction_changes_its_normal_force_much(speed, mu):
+    """The normal force changes by -0.9, 0.9 and -1.8 of its change from one plain round to the
+    next. It and its derivative converge nevertheless."""
+    model = rb.load(ROD.format(mu=mu))
+    state = model.default_state()
+
+    @jax.jit
+    def solved(v, tau):
+        return rb.contact.solve(model, state.replace(v=v), tau=tau, contact="coulomb", dt=1e-3)
+
+    v, tau = jnp.array([speed, -0.1, 0.0]), jnp.array([0.1, 0.2, 0.3])
+    found = solved(v, tau)
+    n, *t = np.asarray(found.contacts.force[0, :3])
+    assert bool(found.converged) and n > 0.1 and int(found.iterations) <= 5
+    np.testing.assert_allclose(np.hypot(*t), mu * n, rtol=1e-9)
+    rates = jax.jit(jax.jacrev(lambda *x: solved(*x).acceleration, (0, 1)))(v, tau)
+    h = 1e-6 * jnp.eye(3)
+    for k, rate in enumerate(rates):
+        moved = jax.vmap(lambda d, k=k: solved(*(x + (j == k) * d for j, x in enumerate((v, tau)))))
+        change = (moved(h).acceleration - moved(-h).acceleration) / 2e-6
+        assert relative_error(rate, change.T, floor=1.0) < 10 * GRADIENT
+
+
 def test_single_precision_and_batches():
     model, state = sliding_and_sticking()
     path = rb.rollout(model, state, None, 2e-3, steps=20, contact="coulomb")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -90,6 +92,36 @@ def test_the_nearest_point_is_that_of_all_triangles() -> None:
         np.testing.assert_allclose(distance[k], sign * d - r, atol=1e-12)
         np.testing.assert_allclose(normal[k], sign * (c - q) / d, atol=1e-10)
         np.testing.assert_allclose(position[k], 0.5 * (q + c - r * normal[k]), atol=1e-12)
+
+
+def test_points_far_above_have_no_contact_and_a_lower_bound_of_the_distance() -> None:
+    h, r, reach = jnp.asarray(heights()), 0.03, 0.01
+
+    @jax.vmap
+    @rb.threads
+    def both(c):
+        found = (field_sphere(field(h), ball(c, r), x)[0] for x in (reach, jnp.inf))
+        return [(x.distance, x.exists) for x in found]
+
+    p = points(300)
+    (near, exists), (whole, _) = both(jnp.asarray(p))
+    np.testing.assert_array_equal(exists, whole <= reach)
+    searched = np.asarray(near == whole)
+    assert 20 < (~searched).sum() < 200 and searched[np.asarray(exists)].all()
+    assert (near <= whole).all() and (near[~searched] > reach).all()
+
+
+def test_operations_of_a_sphere_and_of_a_box() -> None:
+    h = jnp.asarray(heights())
+
+    def distances(pair, c):
+        return [x.distance for x in pair(field(h), ball(c, 0.05)._replace(size=Vec3(*c)), 0.01)]
+
+    count = {
+        pair: rb.compiler.explain(functools.partial(distances, pair), jnp.ones(3)).operations
+        for pair in (field_sphere, field_box)
+    }
+    assert count[field_sphere] < 1700 and count[field_box] < 8 * 1700
 
 
 def scene(h: np.ndarray, body: str) -> mujoco.MjModel:

@@ -174,3 +174,65 @@ def test_a_quadruped_stands_up() -> None:
         data.ctrl[:] = u
         mujoco.mj_step(m, data)
     np.testing.assert_allclose(data.qpos, path.q[-1], atol=1e-6)
+
+
+def quadruped() -> rb.ModelBuilder:
+    """A free trunk with four legs of three joints. The impedance of the floor grows from zero with
+    depth, so that contact forces are smooth."""
+    builder, silent = rb.ModelBuilder(timestep=0.01), {"contype": 0, "conaffinity": 0}
+    builder.add_geom(
+        "floor", None, "plane", (0, 0, 1), contype=0, conaffinity=1, priority=1, solref=(0.03, 1),
+        solimp=(0.0001, 0.95, 0.01, 0.5, 2),
+    )  # fmt: skip
+    builder.add_body("trunk")
+    builder.add_joint("root", "trunk", "free")
+    builder.add_geom("trunk", "trunk", "box", (0.26, 0.1, 0.06), mass=9.0, **silent)
+    middle, down = (0, 0, -THIGH / 2), (0, 0, -THIGH)
+    for leg, x, y in (("a", 0.25, 0.1), ("b", 0.25, -0.1), ("c", -0.25, 0.1), ("d", -0.25, -0.1)):
+        hip, thigh, shank = (f"{leg} {part}" for part in ("hip", "thigh", "shank"))
+        for part, parent, place, axis in (
+            (hip, "trunk", (x, y, 0), (1, 0, 0)), (thigh, hip, (0, 0, 0), (0, 1, 0)),
+            (shank, thigh, down, (0, 1, 0)),
+        ):  # fmt: skip
+            builder.add_body(part, parent, position=place)
+            builder.add_joint(part, part, axis=axis, damping=0.4, armature=0.02)
+            builder.add_motor(part, part, ctrlrange=(-80, 80))
+        builder.add_geom(hip, hip, "sphere", 0.04, mass=0.5, **silent)
+        for part, mass in ((thigh, 1.0), (shank, 0.3)):
+            builder.add_geom(
+                part, part, "capsule", (0.02, THIGH / 2), position=middle, mass=mass, **silent
+            )
+        builder.add_geom(
+            f"{leg} foot", shank, "sphere", 0.025, position=down, mass=0.1, conaffinity=0
+        )
+    return builder
+
+
+def test_a_quadruped_with_a_free_trunk_stands_up() -> None:
+    """18 degrees of freedom, from a crouch to a stance in half a second, from no guess."""
+    builder = quadruped()
+    model, steps = builder.build(), 50
+
+    def pose(bend: float) -> np.ndarray:
+        height = 2 * THIGH * np.cos(bend) + 0.022
+        return np.array([0, 0, height, 1, 0, 0, 0, *[0, bend, -2 * bend] * 4])
+
+    start = rb.State(jnp.asarray(pose(1.2)), jnp.zeros(18))
+    goal = rb.control.StateError(rb.State(jnp.asarray(pose(0.6)), jnp.zeros(18)))
+    problem = rb.control.Problem(
+        model, steps, running=[rb.control.Cost(rb.control.Control(), 1e-3)],
+        terminal=[rb.control.Cost(goal, 1000.0)],
+    )  # fmt: skip
+    found = rb.control.solve(problem, start, iterations=100)
+    assert found.success, found.summary()
+    path = rb.rollout(model, start, found.ctrl)
+    np.testing.assert_allclose(path.q, found.states.q, atol=1e-9)
+    np.testing.assert_allclose(path.q[-1], pose(0.6), atol=2e-3)
+    assert abs(path.v[-1]).max() < 1e-3
+    m = builder.spec.compile()
+    m.opt.tolerance, data = 0, mujoco.MjData(m)
+    data.qpos[:] = start.q
+    for u in np.asarray(found.ctrl):
+        data.ctrl[:] = u
+        mujoco.mj_step(m, data)
+    np.testing.assert_allclose(data.qpos, path.q[-1], atol=1e-9)

@@ -3,6 +3,7 @@ single and in double precision."""
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from rbjax.control import (
@@ -96,6 +97,19 @@ TABLE = [
 @pytest.mark.parametrize(("outcome", "method", "dtype"), QUICK)
 def test_some_outcomes(outcome, method, dtype):
     check(outcome, method, dtype)
+
+
+@pytest.mark.parametrize("method", ["sqp", "exact_sqp"])
+def test_a_stuck_search_ends_with_a_motion(method):
+    """At the knots of the guess the cost is zero, but the motion from the start goes elsewhere."""
+    step = lambda t, x, u: jnp.where(jnp.abs(x - 1) < 1e-3, x + u, 9.0)  # noqa: E731
+    system = Equations(step, 1, 1, discrete=True)
+    problem = Problem(system, 4, 0.1, running=[Control()], terminal=[lambda t, x, u: x - 1])
+    found = solve(problem, jnp.zeros(1), method=method, states=jnp.ones((5, 1)))
+    assert found.status == STUCK and found.gap == 0
+    np.testing.assert_array_equal(found.states[:, 0], [0, 9, 9, 9, 9])
+    cost = 0.5 * (0.1 * (found.ctrl**2).sum() + 8.0**2)
+    np.testing.assert_allclose(found.cost, cost, rtol=1e-12)
 
 
 #: A, B, Q, R of a regulator in continuous time

@@ -255,7 +255,8 @@ class _Vectors(Writer):
 
     @contextmanager
     def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
-        """Emit a block under a mask. The `with` block emits into the same divergent region."""
+        """Emit a block under a mask. The mask and the divergent region of the block stay in effect
+        in the body of the `with` statement."""
         before = self.mask, self.part
         self.mask, self.part = mask, region_of(block, condition, self.part, self.found)
         self.block(block)

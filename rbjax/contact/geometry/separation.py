@@ -139,8 +139,8 @@ def _towards(n: Vec3, d: Vec3) -> Lane:
 
 
 def _known(K: Zonoid) -> tuple[Vec3, Lane]:
-    """Return the axes of discs and the products of two segments, lanes (n,), and which are not
-    zero."""
+    """Return the directions in which the separation may have a kink at its maximum, lanes (n,), and
+    which of them exist: the axes of the discs, and the cross products of two segments."""
     g = [g for g, _ in K.segments]
     products = [a.cross(b) for i, a in enumerate(g) for b in g[i + 1 :]]
     all_ = _stack([a for a, _ in K.discs] + products)

@@ -94,7 +94,7 @@ def first_guess(
     if gains.shape != (N, problem.nu, problem.n):
         due = (N, problem.nu, problem.n)
         raise InputError(f"solve: the gains of guess have shape {gains.shape}, expected {due}")
-    found = threads(functools.partial(_rolled, problem))(one, knots, us, gains)
+    found = threads(functools.partial(follow, problem))(one, knots, us, gains)
     whole = jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(found)]).all()
     both = jax.tree.map(lambda *x: jnp.stack(x), found, (knots, us))
     cost, standing = jax.vmap(functools.partial(_penalised_cost, problem))(*both)
@@ -106,7 +106,7 @@ def first_guess(
     return select(good, found, (knots, us))
 
 
-def _rolled(
+def follow(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[Knot, jax.Array]:
     """Roll out the controls from the start, with feedback K on the deviation from the knots."""

@@ -28,6 +28,7 @@ class Method(NamedTuple):
     derivatives: true if it needs derivatives of the problem.
     description: when to use it.
     differentiable: true if its solutions have derivatives.
+    gaps: true if a step along its search direction leaves gaps between states and dynamics.
     """
 
     solve: Callable[..., Any]
@@ -35,6 +36,7 @@ class Method(NamedTuple):
     derivatives: bool
     description: str
     differentiable: bool = True
+    gaps: bool = False
 
 
 def collocation(table: Tableau, description: str) -> Method:
@@ -58,10 +60,12 @@ METHODS: dict[str, Method] = {
         "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
         "multiple shooting; from guesses of states that no controls produce, for MPC, and for "
         "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
+        gaps=True,
     ),
     "exact_sqp": Method(
         functools.partial(solve_sqp, exact=True), True, True,
         "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
+        gaps=True,
     ),
     "predictive": Method(
         functools.partial(solve_sampling, Sampling("predictive")), True, False,

@@ -8,6 +8,7 @@ robots of each structure are constants, and later robots of that structure are a
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Hashable
 from typing import Any
 
@@ -17,12 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance, integer, real_number
+from rbjax.compiler import threads
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.derivatives.implicit import differentiable
-from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
-from rbjax.control.optimal.objective import constraint_violations, rows_along
+from rbjax.control.optimal.first_guess import Guess, first_guess, follow, guess_of
+from rbjax.control.optimal.objective import constraint_violations, motion_cost, rows_along
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of
+from rbjax.control.optimal.shooting.expansion import largest_gap
+from rbjax.control.optimal.shooting.search import gap_tolerance
 from rbjax.control.optimal.solution import (
     Options,
     SearchResult,
@@ -30,8 +34,9 @@ from rbjax.control.optimal.solution import (
     StoppingRule,
     solution_of,
 )
-from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
+from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
 
@@ -306,7 +311,8 @@ def _search(
     used = method_of(method)
 
     def search(*given: Any) -> SearchResult:
-        return used.solve(*given, history)
+        found = used.solve(*given, history)
+        return _motion_if_stuck(*given[:2], found) if used.gaps else found
 
     if used.differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
@@ -321,6 +327,23 @@ def _search(
     status = jnp.where(broken, INFEASIBLE, found.status)
     status = jnp.where(jnp.isfinite(found.cost + found.gap), status, NOT_FINITE)
     return found._replace(status=status), off
+
+
+def _motion_if_stuck(problem: Problem, start: Any, found: SearchResult) -> SearchResult:
+    """Return a result, with the motion of its feedback if it is stuck and its states have gaps."""
+
+    def motion() -> SearchResult:
+        run = threads(functools.partial(follow, problem))
+        knots, ctrl = run(start, found.knots, found.ctrl, -found.K)
+        off = constraint_violations(problem, *rows_along(problem, knots, ctrl)).max(initial=0.0)
+        new = found._replace(
+            knots=knots, ctrl=ctrl, cost=motion_cost(problem, knots, ctrl), violation=off,
+            gap=largest_gap(problem, start, knots, ctrl),
+        )  # fmt: skip
+        return select(jnp.isfinite(new.cost + new.gap), new, found)
+
+    stuck = (found.status == STUCK) & (found.gap > gap_tolerance(found.cost.dtype))
+    return jax.lax.cond(stuck, motion, lambda: found)
 
 
 @jax.custom_jvp

@@ -241,8 +241,8 @@ def velocity_of(
         model, added = rebuilt(changed)
         if all(i == j for i, j in added):
             d = driver(model, q.dtype)
-            extra = d.scattered({i: x for (i, _), x in added.items()}, 0.0)
-            found = factorize(d, d.joints(q, None), extra)
+            extra = {i: x for (i, _), x in added.items()}
+            found = factorize(d, d.joints(q, None), d.scattered(extra, 0.0))
             return d, lambda p: solve(d, found, p)
         d = Unrolled(model, prepare(model, q.dtype))
         rows = mass_matrix_rows(d, d.joints(q, None))

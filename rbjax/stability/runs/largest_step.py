@@ -168,8 +168,11 @@ def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
 def _deviation(
     model: Model, state: State, nearby: State, ctrl: Any, dt: Any, method: Any, steps: int
 ) -> jax.Array:
-    """Return the final deviation from `state`, which is at rest, over the initial deviation. The
-    motion starts at `nearby`. A second motion from `state` would have the same rounding errors."""
+    """Return the deviation of a motion from the equilibrium `state` at its end, divided by the
+    deviation of its initial state `nearby`.
+
+    The reference is `state` itself, not a simulated motion from it.
+    """
     if isinstance(method, str):
         ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
         path = rollout(

@@ -222,10 +222,11 @@ class StagedFit:
         )
 
     def refine_steps(self, fit: Fit) -> Fit:
-        """Repeat a fit with shorter steps until half the length changes no unknown significantly.
+        """Repeat a fit with halved steps of the simulation until a further halving has no effect.
 
-        Changes are relative to the standard deviation. A search that stalls also indicates long
-        steps, since the error is rough if friction changes its sign within a step.
+        It has no effect if the changes of the unknowns are small compared with their standard
+        deviations. The steps are also halved if the search stalls: with long steps, in which
+        friction changes its sign, the error is not smooth.
         """
         if not self.checks_steps:
             return fit

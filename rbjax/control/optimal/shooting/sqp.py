@@ -48,7 +48,8 @@ class Step(NamedTuple):
     """The step of the linear model.
 
     dx, du: (N + 1, n) and (N, m).
-    opening: l_0'gap_0 and rho gap_0'V_0 gap_0, for the gap of the start, (2,).
+    opening: (2,), the terms l'g and rho g'V g of the merit function for the gap g of the start,
+        with its multipliers l and the Hessian V of the value function.
     """
 
     dx: jax.Array
