@@ -11,7 +11,7 @@ articulated body dynamics algorithms*, 2024.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -101,17 +101,23 @@ class ArticulatedTree(NamedTuple):
         like = jnp.zeros(d.topology.nv, wrenches.dtype)
         return unpack(d.pack(d.inward(inward, zero, xs), like))
 
-    def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
+    def factorize(
+        self,
+        stiffness: jax.Array,
+        rows: Sequence[tuple[ScalarRow, Lane]],
+        limits: Mapping[int, Lane],
+    ) -> Factors:
         """Factorize the Hessian of the contact problem, without contacts between two links.
 
         stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
             (`Row.stiffness`).
         rows: scalar rows with their Hessians; each row acts on one dof.
+        limits: the Hessian of the limits of each dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()
         pairs = enumerate(self.link_pairs)
         K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
-        extra: dict[int, Lane] = {}
+        extra = dict(limits)
         for row, h in rows:
             for i, x in row.J.items():
                 extra[i] = add(extra.get(i, 0.0), mul(h, mul(x, x)))

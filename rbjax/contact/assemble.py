@@ -11,16 +11,18 @@ import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.contact_rows import ContactSet, World
+from rbjax.contact.contact_rows import ContactSet
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem, Tree, stacked
-from rbjax.contact.rows.dof_rows import dof_rows
+from rbjax.contact.rows.dof_rows import friction_rows, limit_rows
 from rbjax.contact.rows.equality_rows import equality_rows
+from rbjax.contact.rows.limit_slots import JointLimits
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
+from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.energy import Entries, product
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
@@ -103,7 +105,7 @@ class Assembly:
         bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
         rhs = [sub(t, b) for t, b in zip(unpack(tau), d.whole(bias), strict=True)]
         world = self._world() if self.touching.geoms else None
-        return Problem(self._tree(), rhs, self._sets(), self._rows, world, dtype)
+        return Problem(self._tree(), rhs, self._sets(), self._rows, self._limits, world, dtype)
 
     def inverse_dynamics(self, a: jax.Array, f_ext: LinkForces | None) -> jax.Array:
         """Compute M a + b - J^T f_ext (nv,), where M includes the added matrix."""
@@ -258,10 +260,26 @@ class Assembly:
         return Options(own.cone == "elliptic", impratio, self.dt, own.refsafe, discrete)
 
     @cached_property
+    def _limited(self) -> list[int]:
+        """The joints whose limits are found in a loop: hinges and slides, if no matrix terms are
+        added."""
+        own, kinds = self.model.solver, self.top.joints
+        assert own is not None
+        return [j for j in own.limited if not kinds[j].quaternion and self.added is None]
+
+    @property
+    def _limits(self) -> JointLimits:
+        given = self.q, self.v, self._weights[1], self._options
+        return JointLimits(self.model, self._limited, *given)
+
+    @cached_property
     def _rows(self) -> list[ScalarRow]:
-        """The constraint rows of joint and tendon limits, friction loss and equalities."""
+        """The constraint rows of other limits, friction loss and equalities."""
         model, options = self.model, self._options
-        rows = dof_rows(model, self.q, self.v, self._weights[1], options)
+        given = model, self.q, self.v, self._weights[1], options
+        own: Any = model.solver
+        rows = limit_rows(*given, [j for j in own.limited if j not in self._limited])
+        rows += friction_rows(*given)
         if has_tendon_rows(model) or model.constraints:
             context = Context.of(model, self.t, State(self.q, self.v), None, d=self.d)
             if has_tendon_rows(model):

@@ -64,6 +64,9 @@ def solve_direction(
     if not any(contacts.coupled for contacts in problem.sets):
         x, twists = tree.step(factors, b, dtype)
         return Direction(x, b, twists)
+    both = zip(problem.sets, problem.slots, strict=True)
+    # most of the time no such contact is active, and the branch saves the inward sweep
+    touch = total(slots.found.length for contacts, slots in both if contacts.coupled) > 0
     bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2 * weighted_square(tree.weights, unpack(b))
 
     def unfinished(at: _Iterate) -> jax.Array:
@@ -76,7 +79,9 @@ def solve_direction(
         share = jnp.where(at.iterations > 0, size / at.size, 0.0)
         p, product = z + share * at.p, at.residual + share * at.product
         moving = twists + share * at.moving
-        Hp = product + coupling(problem, moving, residuals)
+        Hp = product + jax.lax.cond(
+            touch, lambda: coupling(problem, moving, residuals), lambda: jnp.zeros_like(b)
+        )
         alpha = size / inner(unpack(p), unpack(Hp))
         x, sums = at.x + alpha * p, at.twists + alpha * moving
         left = at.residual - alpha * Hp

@@ -23,10 +23,11 @@ import numpy as np
 from rbjax.contact.cones import Cone
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.geometry.shapes import Contact, Shape, contact_frame
+from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.contact.parameters import tangential_solref
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.contact.rows.options import Options
+from rbjax.contact.world import World, shape_of
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -85,26 +86,6 @@ def wrench_along(axes: Sequence[Motion], f: Sequence[Lane]) -> Force:
     )
 
 
-class World(NamedTuple):
-    """The geoms and links that can touch, about the common origin.
-
-    Fields:
-        geoms: (n, 15) rotation, position and size of each geom.
-        twists: (n, 6) twist of each link; the last one is the world.
-        poses: (n, 12) rotation and position of each link, if rows are in the axes of their links.
-        heights: of the height fields, as `Geoms.heights`.
-        responses: (2, n, 21) sum of S_j S_j^T / m_j over the dofs between each pair of links, with
-            the diagonal m of the mass matrix, and with the one that the solver uses, if they
-            differ.
-    """
-
-    geoms: jax.Array
-    twists: jax.Array
-    poses: jax.Array | None = None
-    heights: tuple[jax.Array, ...] = ()
-    responses: jax.Array | None = None
-
-
 @dataclass(frozen=True)
 class ContactSet:
     """All pairs of geoms whose contacts have the same number of rows, with their parameters.
@@ -154,6 +135,9 @@ class ContactSet:
 
     def rates(self, row: Row, twists: jax.Array) -> list[Lane]:
         """Compute the velocity along each row of a contact, J v, from the link twists at v."""
+        if self._on_world(twists):
+            k, sign = self._moving_end(row)
+            return row.along(Motion.from_lanes(unpack(twists[k])) * sign)
         one, other = (unpack(twists[k]) for k in self._ends(row))
         if not self.coupled:
             return row.along(Motion.from_lanes([y - x for x, y in zip(one, other, strict=True)]))
@@ -168,10 +152,22 @@ class ContactSet:
 
     def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
         """Add the forces f along the rows of a contact to the wrenches on its two links."""
+        if self._on_world(wrenches):
+            k, sign = self._moving_end(row)
+            return wrenches.at[k].add(jnp.stack(list(row.wrench(f) * sign)))
         one, other = self._ends(row)
         second = jnp.stack(list(row.wrench(f)))
         first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
         return wrenches.at[one].add(-first).at[other].add(second)
+
+    def _on_world(self, links: jax.Array) -> bool:
+        """Return whether one of the links of each contact is the world, the last one of `links`."""
+        return bool((self.links == len(links) - 1).any(1).all())
+
+    def _moving_end(self, row: Row) -> tuple[Any, Lane]:
+        """Return the link of a contact with the world, and 1 if it is the second link, else -1."""
+        signs = np.where(self.links[:, 1] < self.links[:, 0], 1.0, -1.0)
+        return entry(self.links.min(1), row.pair), self._lane(signs, row.pair)
 
     def _ends(self, row: Row) -> list[Any]:
         """Return the indices of the two links of a contact."""
@@ -382,12 +378,6 @@ def _in_link(pose: jax.Array, axes: Sequence[Motion]) -> list[Motion]:
     x = unpack(pose)
     E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
     return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
-
-
-def shape_of(row: jax.Array) -> Shape:
-    """Return the shape of a row of `World.geoms`."""
-    lanes = [row[k] for k in range(15)]
-    return Shape(Vec3(*lanes[9:12]), Mat3(*lanes[:9]), Vec3(*lanes[12:]))
 
 
 def entry(table: Any, index: Any) -> Any:

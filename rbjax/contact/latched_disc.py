@@ -29,8 +29,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.cones import TINY, Response
-from rbjax.contact.contact_rows import ContactSet, Found, Row, World
+from rbjax.contact.contact_rows import ContactSet, Found, Row
 from rbjax.contact.geometry.shapes import Contact, contact_frame
+from rbjax.contact.world import World
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
 from rbjax.spatial import Motion

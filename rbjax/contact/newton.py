@@ -66,37 +66,33 @@ class Solution(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """An iterate of the method.
+    """An iterate of the method, with the values of the cost there.
 
     Fields:
         x: (nv,) the acceleration.
         u: (nv,) M x - rhs + J^T w.
         w: (n + 1, 6) wrenches on the links that can touch.
         residuals: of the contacts of each set.
-        error: the error of the iterate before the last step.
-        decrement: Newton's decrement of the last step, relative to the forces.
         iterations: the number of steps.
+        decrement: Newton's decrement of the last step, relative to the forces.
         short: whether the last step was short; None for a problem without latched friction.
+        gradient: (nv,) of the cost.
+        stiffness: (n, 21) of the contacts of each pair of links.
+        size: of the forces (see the module).
+        error: the smaller one of the relative gradient and the decrement.
     """
 
     x: jax.Array
     u: jax.Array
     w: jax.Array
     residuals: list[jax.Array]
-    error: jax.Array
-    decrement: jax.Array
     iterations: jax.Array
-    short: jax.Array | None = None
-
-
-class _Values(NamedTuple):
-    """Values at an iterate: gradient (nv,), stiffness (n, 21) of each pair of links, size of the
-    forces (see the module), and error."""
-
-    gradient: jax.Array
-    stiffness: jax.Array
-    size: jax.Array
-    error: jax.Array
+    decrement: jax.Array
+    short: jax.Array | None
+    gradient: Any = None
+    stiffness: Any = None
+    size: Any = None
+    error: Any = None
 
 
 def tolerance_of(dtype: Any) -> float:
@@ -111,25 +107,21 @@ def solve(
     bound = tolerance_of(problem.dtype) if tolerance is None else tolerance
 
     def unfinished(at: _Iterate) -> jax.Array:
-        return (at.error > bound) & (at.iterations <= iterations)
+        return (at.error > bound) & (at.iterations < iterations)
 
     def step(at: _Iterate) -> _Iterate:
-        now = problem if at.short is None else problem.bounded(at.short)
-        values = _evaluate(now, at)
-        at = at._replace(error=values.error)
-        more = (at.error > bound) & (at.iterations < iterations)
-        moved = jax.lax.cond(more, lambda: _newton_step(now, at, values), lambda: at)
-        return moved._replace(iterations=at.iterations + 1)
+        return _evaluated(problem, _newton_step(problem, at))
 
-    at = jax.lax.while_loop(unfinished, step, _start(problem))
-    return Solution(at.x, at.iterations - 1, at.error, at.residuals)
+    # without a branch, so that each array of an iterate is updated in place
+    at = jax.lax.while_loop(unfinished, step, _evaluated(problem, _start(problem)))
+    return Solution(at.x, at.iterations, at.error, at.residuals)
 
 
 def factorize_at(problem: Problem, solution: Solution) -> Any:
     """Factorize the Hessian at a solution, with names by which a derivative saves the factors."""
     problem = replace(problem, tree=problem.tree.saved())
     at = _start(problem)._replace(x=solution.x, residuals=solution.residuals)
-    return _factors(problem, at, _evaluate(problem, at)).named()
+    return _factors(problem, _evaluated(problem, at)).named()
 
 
 def _start(problem: Problem) -> _Iterate:
@@ -146,7 +138,12 @@ def _start(problem: Problem) -> _Iterate:
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
     infinite = jnp.full((), jnp.inf, dtype)
     short = jnp.bool_(False) if problem.latched else None
-    return _Iterate(zero, u, w, residuals, infinite, infinite, jnp.int32(0), short)
+    return _Iterate(zero, u, w, residuals, jnp.int32(0), infinite, short)
+
+
+def _with_curvature(problem: Problem, at: _Iterate) -> Problem:
+    """Return the problem with the curvature of the next step (see the module)."""
+    return problem if at.short is None else problem.bounded(at.short)
 
 
 def _unset(slots: Any, dim: int) -> jax.Array:
@@ -154,17 +151,22 @@ def _unset(slots: Any, dim: int) -> jax.Array:
     return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
-def _factors(problem: Problem, at: _Iterate, values: _Values) -> Any:
-    x = unpack(at.x)
-    rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.rows]
-    return problem.tree.factorize(values.stiffness, rows)
+def _factors(problem: Problem, at: _Iterate) -> Any:
+    x, at_limits = unpack(at.x), problem.at_limits.hessian(at.x)
+    rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.loose]
+    limits = {i: at_limits[i] for i in problem.limits.dofs}
+    return problem.tree.factorize(at.stiffness, rows, limits)
 
 
-def _evaluate(problem: Problem, at: _Iterate) -> _Values:
-    """Compute gradient, stiffness and error at an iterate."""
+def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
+    """Return an iterate with its gradient, stiffness, size and error."""
+    problem = _with_curvature(problem, at)
     tree, dtype = problem.tree, problem.dtype
-    stiffness = jnp.zeros((len(tree.link_pairs), 21), dtype)
-    wrenches = at.w
+    none, wrenches = jnp.zeros((len(tree.link_pairs), 21), dtype), at.w
+    # in place, as the iterate that it belongs to is over
+    stiffness = (
+        none if at.stiffness is None else jax.lax.dynamic_update_slice(at.stiffness, none, (0, 0))
+    )
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
         def push(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> tuple:
@@ -178,44 +180,58 @@ def _evaluate(problem: Problem, at: _Iterate) -> _Values:
 
         wrenches, stiffness = slots.fold(push, (wrenches, stiffness))
     forces, x = tree.generalized(wrenches), unpack(at.x)
-    for row in problem.rows:
+    for row in problem.loose:
         f, _ = row.response(sub(row.along(x), row.reference))
         forces = add_row(forces, row, f)
-    g = [sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)]
+    gradient = pack([sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)], at.x)
+    gradient = problem.at_limits.subtract_forces(at.x, gradient)
     weights = tree.weights
     size = add(
         weighted_square(weights, problem.rhs), weighted_square([1.0 / w for w in weights], x)
     )
     size = jnp.maximum(jnp.asarray(size, dtype), jnp.finfo(dtype).tiny)
-    error = jnp.minimum(jnp.sqrt(weighted_square(weights, g) / size), at.decrement)
-    return _Values(pack(g, at.x), stiffness, size, jnp.asarray(error, dtype))
+    error = jnp.minimum(jnp.sqrt(weighted_square(weights, unpack(gradient)) / size), at.decrement)
+    error = jnp.asarray(error, dtype)
+    return at._replace(gradient=gradient, stiffness=stiffness, size=size, error=error)
 
 
-def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
+def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
+    """Return the next iterate, without the values of the cost."""
+    problem = _with_curvature(problem, at)
     dtype = problem.dtype
-    factors = _factors(problem, at, values)
-    p, product, twists = solve_direction(problem, factors, -values.gradient, at.residuals)
+    factors = _factors(problem, at)
+    p, product, twists = solve_direction(problem, factors, -at.gradient, at.residuals)
     # the change of u, its product with p, and the wrenches of J^T s'' J p
     change, x, s = unpack(product), unpack(at.x), unpack(p)
-    for row in problem.rows:
-        _, h = row.response(sub(row.along(x), row.reference))
-        change = add_row(change, row, neg(mul(h, row.along(s))))
+    slope = inner(s, unpack(at.gradient))
+    for row in problem.loose:
+        f, h = row.response(sub(row.along(x), row.reference))
+        rate = row.along(s)
+        change, slope = add_row(change, row, neg(mul(h, rate))), add(slope, mul(f, rate))
     curvature, wrenches, rates = inner(s, change), jnp.zeros_like(at.w), []
+    numbers = (jnp.asarray(y, dtype) for y in (slope, curvature))
+    change, slope, curvature = problem.at_limits.along(at.x, p, (pack(change, p), *numbers))
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
         def along(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
-            rates, wrenches, curvature = carry
+            rates, wrenches, slope, curvature = carry
             row = slots.row(k, of.dim)
             s = of.rates(row, twists)
-            f = products(of.cone(row).response([r[k, i] for i in range(of.dim)]).H, s)
-            wrenches = of.add_forces(row, wrenches, f)
-            return rates.at[k].set(jnp.stack(s)), wrenches, sub(curvature, inner(f, s))
+            found = of.cone(row).response([r[k, i] for i in range(of.dim)])
+            change = products(found.H, s)
+            wrenches = of.add_forces(row, wrenches, change)
+            slope, curvature = add(slope, inner(found.f, s)), sub(curvature, inner(change, s))
+            return rates.at[k].set(jnp.stack(s)), wrenches, slope, curvature
 
-        carry = _unset(slots, contacts.dim), wrenches, jnp.asarray(curvature, dtype)
-        found, wrenches, curvature = slots.fold(along, carry)
+        begin = (
+            _unset(slots, contacts.dim),
+            wrenches,
+            jnp.asarray(slope, dtype),
+            jnp.asarray(curvature, dtype),
+        )
+        found, wrenches, slope, curvature = slots.fold(along, begin)
         rates.append(found)
-    slope = sub(inner(s, unpack(at.u)), (twists * at.w).sum())
-    alpha = _line_search(problem, at, values, s, (slope, curvature), rates)
+    alpha = _line_search(problem, at, p, (slope, curvature), rates)
     residuals = []
     for slots, r, rate in zip(problem.slots, at.residuals, rates, strict=True):
 
@@ -223,33 +239,33 @@ def _newton_step(problem: Problem, at: _Iterate, values: _Values) -> _Iterate:
             return r.at[k].set(r[k] + alpha * rate[k])
 
         residuals.append(slots.fold(moved, r))
-    u, w = at.u + alpha * pack(change, p), at.w + alpha * wrenches
-    decrement = jnp.sqrt(jnp.abs(inner(unpack(values.gradient), s)) / values.size)
+    u, w = at.u + alpha * change, at.w + alpha * wrenches
+    decrement = jnp.sqrt(jnp.abs(inner(unpack(at.gradient), s)) / at.size)
     decrement = jnp.maximum(alpha, 1.0) * decrement
     short = None
     if at.short is not None:  # the decrement is Newton's only with Newton's curvature
         decrement, short = jnp.where(at.short, jnp.inf, decrement), alpha < SHORT
-    x = at.x + alpha * p
-    return _Iterate(x, u, w, residuals, at.error, decrement, at.iterations, short)
+    now = at.x + alpha * p, u, w, residuals, at.iterations + 1, decrement, short
+    return _Iterate(*now, stiffness=at.stiffness)
 
 
 def _line_search(
-    problem: Problem, at: _Iterate, values: _Values, p: list, smooth: tuple, rates: list
+    problem: Problem, at: _Iterate, step: jax.Array, smooth: tuple, rates: list
 ) -> jax.Array:
-    """Find the zero of the cost's slope along p, by Newton's method with a bracket.
+    """Find the zero of the cost's slope along a step (nv,), by Newton's method with a bracket.
 
-    smooth: slope at 0 and curvature along p of the cost without contacts and rows.
+    smooth: slope at 0 and curvature along the step of the cost without contacts and rows.
     """
-    x = unpack(at.x)
+    x, p = unpack(at.x), unpack(step)
     constant, curvature = smooth
-    scalar = [(row, sub(row.along(x), row.reference), row.along(p)) for row in problem.rows]
+    scalar = [(row, sub(row.along(x), row.reference), row.along(p)) for row in problem.loose]
 
     def slope(alpha: jax.Array) -> tuple[Lane, Lane]:
         first, second = add(constant, mul(alpha, curvature)), curvature
         for row, r, s in scalar:
             f, h = row.response(add(r, mul(alpha, s)))
             first, second = sub(first, mul(f, s)), add(second, mul(h, mul(s, s)))
-        out = (first, second)
+        out = problem.at_limits.add_slope(at.x, step, alpha, (first, second))
         groups = zip(problem.sets, problem.slots, at.residuals, rates, strict=True)
         for contacts, slots, r, rate in groups:
 
@@ -271,7 +287,7 @@ def _line_search(
             out = slots.fold(more, out)
         return out
 
-    begin = SLOPE * jnp.abs(inner(unpack(values.gradient), p))
+    begin = SLOPE * jnp.abs(inner(unpack(at.gradient), p))
 
     def unfinished(state: tuple) -> jax.Array:
         *_, first, n = state

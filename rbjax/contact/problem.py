@@ -12,7 +12,7 @@ couples the two paths from their nearest common ancestor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,10 +20,12 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rbjax.contact.contact_rows import ContactSet, Slots, World
+from rbjax.contact.contact_rows import ContactSet, Slots
 from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.latched_disc import DiscSet
+from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
+from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.aba import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
@@ -108,12 +110,18 @@ class Tree(NamedTuple):
         x = factors.solve(b)
         return x, self.twists(x, dtype)
 
-    def factorize(self, stiffness: jax.Array, rows: Sequence[tuple[ScalarRow, Lane]]) -> Factors:
+    def factorize(
+        self,
+        stiffness: jax.Array,
+        rows: Sequence[tuple[ScalarRow, Lane]],
+        limits: Mapping[int, Lane],
+    ) -> Factors:
         """Factorize the Hessian of the contact problem.
 
         stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
             (`Row.stiffness`).
         rows: scalar rows with their Hessians.
+        limits: the Hessian of the limits of each dof.
         """
         A = [list(row) for row in self.M]
         K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
@@ -130,6 +138,8 @@ class Tree(NamedTuple):
             F = fusion_barrier(k(self.S[i]))
             for j in self.ancestors[i]:
                 A[i][j] = add(A[i][j], self.S[j].dot(F))
+        for i, h in limits.items():
+            A[i][i] = add(A[i][i], h)
         for row, h in rows:
             for i, x in row.J.items():
                 for j, y in row.J.items():
@@ -160,27 +170,42 @@ class Problem:
         tree: `Tree` or `ArticulatedTree`.
         rhs: tau - b of each dof.
         sets: contacts by their number of rows.
-        rows: limits, friction loss and equalities.
+        loose: limits of balls and tendons, friction loss and equalities.
+        limits: limits of hinges and slides.
         world: geoms and twists, for the narrow phase.
         dtype: of all arrays.
         slots: the active contacts of each set; empty before `detect`.
+        active_limits: the limits that act; None before `detect`.
     """
 
     tree: Any
     rhs: list[Lane]
     sets: list[ContactSet]
-    rows: list[ScalarRow]
+    loose: list[ScalarRow]
+    limits: JointLimits
     world: World | None
     dtype: Any
     slots: Sequence[Slots] = ()
+    active_limits: LimitSlots | None = None
+
+    @property
+    def rows(self) -> list[ScalarRow]:
+        """The rows with one force: all limits, friction loss and equalities."""
+        return [*self.limits.rows, *self.loose]
 
     def detect(self, *, gap: bool = False) -> Problem:
-        """Return the problem with its active contacts.
+        """Return the problem with its active contacts and limits.
 
         gap: whether to include the contacts in the gap, which have no force.
         """
         slots = [Slots.collect(x, self.touching, gap=gap) for x in self.sets]
-        return replace(self, slots=slots)
+        return replace(self, slots=slots, active_limits=self.limits.active())
+
+    @property
+    def at_limits(self) -> LimitSlots:
+        """The limits that act, of a problem after `detect`."""
+        assert self.active_limits is not None
+        return self.active_limits
 
     @property
     def latched(self) -> bool:
@@ -189,8 +214,7 @@ class Problem:
 
     def bounded(self, short: jax.Array) -> Problem:
         """Return the problem with the curvature of a bound of latched friction, if `short`."""
-        latched = lambda x: isinstance(x, DiscSet)  # noqa: E731
-        sets = [replace(x, bounded=short) if latched(x) else x for x in self.sets]
+        sets = [replace(x, bounded=short) if isinstance(x, DiscSet) else x for x in self.sets]
         return replace(self, sets=sets)
 
     @property

@@ -402,18 +402,34 @@ def test_rows_meet_few_conflicts(size):
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
-def test_loops_that_move_entries_run_in_groups():
-    """Sums of 600 entries along a scan: 37 groups of 16 turns and one of 8."""
+def test_elementwise_loops_run_in_groups():
+    """Loops over arrays in memory: groups of 16 entries, and one loop for all axes.
 
-    def f(x):
+    The 600 entries of a sum along a scan are 37 groups of 16 turns and one of 8. The 14 by 6
+    entries of an array that the loop also indexes by a variable are 5 groups of 16 and one of 4.
+    """
+
+    def copied(x):
         def step(total, k):
             total = total + k * jnp.sin(x)
             return total, total[0]
 
         return jax.lax.scan(step, jnp.zeros_like(x), jnp.arange(3.0))
 
-    x = np.random.default_rng(0).normal(size=(2, 600))
-    source = "\n".join(Printer({}).lines(written(f, x)[0].builder.block))
-    assert re.search(r"\+=16\)\{", source) and re.search(r"\+=8\)\{", source)
-    for got, want in zip(many_on_host([(f, (x,))])[0], jax.vmap(f)(x), strict=True):
-        assert relative_error(got, want) < F64_TRANSFORM
+    def indexed(x):
+        def step(k, y):
+            y = x[0] * y.at[k, 1].add(2.0) + y
+            return y.at[k % 3].set(0.0)
+
+        zeros = jax.lax.dynamic_update_slice(jnp.ones((14, 6)), jnp.zeros((14, 6)), (0, 0))
+        return jax.lax.fori_loop(0, 9, step, zeros + x.reshape(14, 6))
+
+    r = np.random.default_rng(0)
+    for f, size, last in ((copied, 600, 8), (indexed, 84, 4)):
+        x = r.normal(size=(2, size))
+        source = "\n".join(Printer({}).lines(written(f, x)[0].builder.block))
+        assert re.search(r"\+=16\)\{", source) and re.search(rf"\+={last}\)\{{", source)
+        assert "<6;" not in source
+        got = many_on_host([(f, (x,))])[0]
+        for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.vmap(f)(x)), strict=True):
+            assert relative_error(a, b) < F64_TRANSFORM

@@ -43,8 +43,9 @@ def literal(x: np.generic) -> str:
     return f"({text})" if math.copysign(1.0, number) < 0 else text
 
 
-def _moves_entries(loop: ir.Loop) -> bool:
-    """Return whether a loop only copies entries to local arrays that it does not read.
+def _is_elementwise(loop: ir.Loop) -> bool:
+    """Return whether a short loop computes entries of local arrays, and no iteration reads what
+    another one writes.
 
     Such a loop runs in groups of iterations, which load all their entries before they store any. A
     thread then waits for memory once per group.
@@ -54,9 +55,14 @@ def _moves_entries(loop: ir.Loop) -> bool:
         return False
     if not all(isinstance(s, ir.Op | ir.Load | ir.Store) for s in body):
         return False
-    read = {s.array for s in body if isinstance(s, ir.Load)}
-    written = {s.array for s in body if isinstance(s, ir.Store)}
-    return bool(written) and not read & written and all(a.space == "local" for a in written)
+    stores = [s for s in body if isinstance(s, ir.Store)]
+    places = {s.array: (s.base, s.offset) for s in stores}
+    own = all(
+        (s.base, s.offset) == places[s.array] and s.base is loop.counter
+        for s in body
+        if isinstance(s, ir.Load) and s.array in places
+    )
+    return own and len(places) == len(stores) > 0 and all(a.space == "local" for a in places)
 
 
 class Printer:
@@ -95,7 +101,7 @@ class Printer:
                 yield f"{v(var)}={v(value)};"
             case ir.Reserve(array=array):
                 yield f"{c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
-            case ir.Loop() if _moves_entries(statement):
+            case ir.Loop() if _is_elementwise(statement):
                 yield from self._in_groups(statement)
             case ir.Loop(counter=counter, count=count, reverse=reverse, body=body):
                 i = v(counter)

@@ -284,8 +284,14 @@ def write_to(b: Builder, to: View, x: ThreadArray, *, loop_above: int = 64) -> N
     if b.in_team and is_constant(x) and x.size > FEW:
         loop_above = 0
     if x.size > loop_above and (isinstance(x, View) or is_constant(x)):
-        source = to_memory(b, x, to.dtype)
-        for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, load_entry(b, source, i)))
+        value = x.flat[0] if isinstance(x, np.ndarray) and (x == x.flat[0]).all() else None
+        moving = [to] if value is not None else [to, to_memory(b, x, to.dtype)]
+        to, *source = moving if b.in_team else as_flat_views(*moving)
+
+        def entry(*i: Value) -> Value:  # equal constants need no table
+            return load_entry(b, source[0], i) if source else to.dtype.type(value)
+
+        for_each_index(b, to.shape, lambda *i: store_entry(b, to, i, entry(*i)))
         return
     values, places = to_scalars(b, x), to.offsets()
     for i in indices_of(to.shape):

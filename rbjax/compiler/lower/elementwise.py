@@ -57,22 +57,36 @@ def map_entries(
     """
     b, size = low.b, math.prod(shape)
     if size > loop_above:
-        sources = [arrays.broadcast_in_memory(b, x, _dtype(x), shape) for x in xs]
-        views = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
+        sources = [_in_loop(b, x, shape) for x in xs]
+        results = [View.of(b.local(dtype, size), shape) for dtype in dtypes]
+        views = results
+        if not b.in_team:  # one loop in place of a nest, if all entries are equally spaced
+            moving = [x for x in sources if isinstance(x, View)]
+            flat = iter(arrays.as_flat_views(*moving, *results))
+            sources = [next(flat) if isinstance(x, View) else x for x in sources]
+            views = list(flat)
 
         def one(*i: Value) -> None:
             values = f(*(arrays.load_entry(b, x, i) for x in sources))
             for view, value in zip(views, values, strict=True):
                 arrays.store_entry(b, view, i, value)
 
-        arrays.for_each_index(b, shape, one)
-        return list(views)
+        arrays.for_each_index(b, views[0].shape, one)
+        return list(results)
     operands = np.broadcast_arrays(*(low.to_scalars(x) for x in xs), np.empty(shape, bool))[:-1]
     outs = [np.empty(shape, object) for _ in dtypes]
     for i in arrays.indices_of(shape):
         for out, value in zip(outs, f(*(x[i] for x in operands)), strict=True):
             out[i] = value
     return list(outs)
+
+
+def _in_loop(b: Builder, x: ThreadArray, shape: tuple) -> View | Delayed:
+    """Return x, broadcast to a shape, for a loop over its entries. One value stays in its
+    register."""
+    if isinstance(x, np.ndarray) and own_entries(np.broadcast_to(x, shape)).size == 1:
+        return source(b, x, shape)
+    return arrays.broadcast_in_memory(b, x, _dtype(x), shape)
 
 
 def _is_wide(xs: tuple, size: int) -> bool:

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -20,16 +21,19 @@ from rbjax.model import Model
 from rbjax.model.leaves import numbers, table
 
 
-def dof_rows(
+def limit_rows(
+    model: Model, q: jax.Array, v: jax.Array, weights: Any, options: Options, joints: Sequence[int]
+) -> list[ScalarRow]:
+    """Return the rows of the limits of joints. weights: (nv,) inverse inertias of the dofs."""
+    return [row for j in joints for row in _limits(model, q, v, weights, options, j)]
+
+
+def friction_rows(
     model: Model, q: jax.Array, v: jax.Array, weights: Any, options: Options
 ) -> list[ScalarRow]:
-    """Return the rows of the limits of joints, then of the friction loss of dofs.
-
-    weights: (nv,) inverse inertias of the dofs.
-    """
-    own, dtype = model.solver, q.dtype
+    """Return the rows of the friction loss of dofs. weights: (nv,) inverse inertias of the dofs."""
+    own, dtype, rows = model.solver, q.dtype, []
     assert own is not None
-    rows = [row for j in own.limited for row in _limits(model, q, v, weights, options, j)]
     for i in own.rubbing:
         tables = own.friction_solref, own.friction_solimp
         softness = Softness.of(entry(weights, i, dtype), *tables, i, dtype)
