@@ -22,6 +22,17 @@ TEXT = """<mujoco><option tolerance="0" timestep=".002"/><worldbody>
 </worldbody><equality><weld body1="hand" body2="held"/></equality></mujoco>"""
 
 
+def test_a_pair_of_geoms_that_no_joint_moves_is_left_out() -> None:
+    pairs = """<contact><pair geom1="floor" geom2="paddle" friction="2 2 .1 .1 .1"/>
+      <pair geom1="floor" geom2="ball" friction=".3 .3 .1 .1 .1"/></contact>"""
+    text = f"""<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
+      <body mocap="true"><geom name="paddle" size=".1"/></body>
+      <body><freejoint/><geom name="ball" size=".1"/></body></worldbody>{pairs}</mujoco>"""
+    geoms = load_quietly(text).geoms
+    assert geoms.pairs[0] == (0, 2) and (0, 1) not in geoms.pairs
+    assert geoms.pair_friction.tolist() == [[0.3, 0.3, 0.1, 0.1, 0.1]]
+
+
 def with_poses(model: rb.Model, positions: jax.Array, orientations: jax.Array) -> rb.Model:
     rows = jnp.array([model.body("paddle"), model.body("hand")])
     bodies = model.bodies.replace(

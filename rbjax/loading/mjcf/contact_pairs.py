@@ -23,7 +23,6 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in m.exclude_signature}
     body, weld = m.geom_bodyid, m.body_weldid
     moves = m.body_treeid[body] >= 0
-    named = [(a, b) for a, b in named if moves[a] or moves[b]]
     parent = weld[m.body_parentid[weld]]
     filtered = not off & bit.mjDSBL_FILTERPARENT
     types, affinities = m.geom_contype, m.geom_conaffinity
