@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.impedance import LEAST
+from rbjax.forces.impedance import IMPEDANCES, LEAST, stiffness_and_damping
 from rbjax.lanes import Lane
 from rbjax.model.geoms import Geoms
 
@@ -177,3 +177,33 @@ def _array(x: Any) -> Array:
 def _module(*arrays: Any) -> ModuleType:
     """Return jax.numpy if an array is traced, else numpy."""
     return jnp if any(isinstance(x, jax.core.Tracer) for x in arrays) else np
+
+
+def unstable_contacts(geoms: Geoms, dt: float, *, refsafe: bool) -> str:
+    """Return a sentence about the pair whose contact gains most energy in steps of dt, or an empty
+    text if all are stable.
+
+    A contact with the impedance d moves by r'' = -d b r' - d^2 k r. Steps of semi-implicit Euler
+    are stable if h^2 d^2 k + 2 h d b < 4.
+    """
+    if not geoms.pairs:
+        return ""
+    given = pair_parameters(geoms, geoms.pairs)
+    solimp = np.asarray(given.solimp).T
+    k, b = stiffness_and_damping(np.asarray(given.solref).T, solimp, dt if refsafe else None)
+    low, high = np.clip(solimp[:2], *IMPEDANCES)
+    d = np.where(solimp[2] <= LEAST, 0.5 * (low + high), np.maximum(low, high))
+    K, B = np.broadcast_arrays(d * d * k, d * b)
+    sums = dt * dt * K + 2.0 * dt * B
+    worst = int(np.argmax(sums))
+    if not sums[worst] >= 4.0:
+        return ""
+    one, other = (geoms.names[g] for g in geoms.pairs[worst])
+    K, B = float(K[worst]), float(B[worst])
+    step = 4.0 / (B + np.sqrt(B * B + 4.0 * K))
+    return (
+        f"{one} and {other} have solref with the stiffness {K:.3g} 1/s^2 and the damping {B:.3g} "
+        f"1/s, and h^2 stiffness + 2 h damping is {sums[worst]:.3g} at the step h = {dt:.3g} s, "
+        f"expected less than 4: a contact gains energy in each step. Take a step below "
+        f'{step:.2g} s, or solref="{-0.25 / dt**2:.6g} {-1.0 / dt:.6g}" or softer'
+    )

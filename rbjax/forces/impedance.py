@@ -157,10 +157,13 @@ def regularisation(d: Lane, weight: Lane) -> Lane:
     return _larger((1 - d) / d * weight, LEAST)
 
 
-def stiffness_and_damping(solref: Lanes, solimp: Lanes) -> tuple[Lane, Lane]:
-    """Compute the stiffness k, 1/s^2, and the damping b, 1/s, of a row."""
+def stiffness_and_damping(
+    solref: Lanes, solimp: Lanes, dt: Lane | None = None
+) -> tuple[Lane, Lane]:
+    """Compute the stiffness k, 1/s^2, and the damping b, 1/s, of a row. If dt is given, the time
+    constant is at least 2 dt."""
     *solref, high = _constants(*solref, solimp[1])
-    return _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), None)
+    return _stiffness_and_damping(solref, _clip(high, *IMPEDANCES), dt)
 
 
 def _stiffness_and_damping(

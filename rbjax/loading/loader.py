@@ -17,6 +17,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.constraints import JointPolynomial, Soft
+from rbjax.contact.parameters import unstable_contacts
 from rbjax.errors import UnsupportedFeature, listed
 from rbjax.forces.acting import elements
 from rbjax.forces.actuators.actuator import (
@@ -163,6 +164,9 @@ def load(
         if model.contact is not None:
             couplings = tuple(soft_mimic(compiled, one) for one in couplings)
     model = model.with_constraints(*couplings)
+    shaken = _unstable(model)
+    if shaken:
+        warnings.warn(f"{describe(source)}: {shaken} (docs/contacts.md)", stacklevel=2)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
@@ -172,6 +176,15 @@ def load(
             stacklevel=2,
         )
     return with_motors(model) if motors else model
+
+
+def _unstable(model: Model) -> str:
+    """Return a sentence about contacts that are unstable at the step of a file, or nothing."""
+    own = model.solver
+    explicit = own is not None and own.integrator not in ("discrete", "rk4")
+    if model.contact is None or model.geoms is None or not explicit:
+        return ""
+    return unstable_contacts(model.geoms, float(model.timestep), refsafe=own.refsafe)
 
 
 def from_compiled(

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler.jax.function import one_program
 from rbjax.contact.geometry.detection import Contacts, contacts_at
 from rbjax.contact.impacts.impulse_equations import ImpulseProblem
 from rbjax.contact.impacts.impulses import impact, impact_problem
@@ -31,6 +32,8 @@ from rbjax.motion.term import configuration_rate, unit_quaternions
 
 #: a force that counts as zero, N
 TINY = 1e-12
+#: the largest number of contacts for which one program for all loops compiles faster
+FEW = 4
 
 
 class Mode(NamedTuple):
@@ -81,9 +84,10 @@ class ContactSystem(eqx.Module):
 
     @functools.cached_property
     def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactForces]]:
-        """The function (t, y, mode) -> v', x' and the contacts. Its jit saves time of tracing: all
-        loops of a motion share one program and its derivative."""
-        return jax.jit(lambda t, y, mode: self._motion(t, y, mode))
+        """The function (t, y, mode) -> v', x' and the contacts. All loops of a motion share its
+        trace, and for few contacts its program and derivatives, which compiles faster."""
+        shared = one_program if len(self.friction) <= FEW else jax.jit
+        return shared(lambda t, y, mode: self._motion(t, y, mode))
 
     def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
         at, t = self.unit(y), self.start + t
@@ -93,7 +97,8 @@ class ContactSystem(eqx.Module):
             lambda s: self.slip(retract(self.model, at.q, s * at.v), at.v),
             (jnp.zeros((), at.q.dtype),), (jnp.ones((), at.q.dtype),),
         )  # fmt: skip
-        J, problem, Y = impact_problem(self.model, at.q, at.v, contacts, self.friction, t)
+        problem = impact_problem(self.model, at.q, at.v, contacts, self.friction, t)
+        J, Y = problem.J, problem.Y
         free = matvec(J, a) + bias
         f = kept_forces(problem.D, free, problem.u, self.friction, mode)
         return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, J, problem, Y, f)
@@ -214,7 +219,7 @@ def transition(
     active = closed | mode.kept | (touches & closed.any())
     bounces = e * (u[:, 0] < -rest)
     problem = now.problem._replace(active=active)
-    v, _, residual, fine = impact(problem, now.Y, at.v, bounces, law)
+    v, _, residual, fine = impact(problem, at.v, bounces, law)
     hit = closed.any()
     after = State(y.q, jnp.where(hit, v, y.v), y.x)
     u = matvec(found.J, jax.lax.stop_gradient(after.v))

@@ -213,10 +213,12 @@ def _solve(
     """Integrate all phases; return the saved states and the events."""
     dtype = ts.dtype
     empty = jax.tree.map(lambda x: jnp.full((len(ts), *x.shape), jnp.nan, dtype), state)
+    # functions of the one system, whose program all loops share; a method would be of a copy
+    field, guard = (lambda *at: system.field(*at)), (lambda *at: system.guard(*at))
 
     def phase(now: _Carry, _: Any) -> tuple[_Carry, tuple]:
         end = integrate_until(
-            system.field, now.y, system.guard, ts[-1], now.mode, t0=now.t, ts=ts,
+            field, now.y, guard, ts[-1], now.mode, t0=now.t, ts=ts,
             leaving=now.leaving, tolerance=tolerance, max_steps=max_steps,
         )  # fmt: skip
         inside = (ts >= now.t) & (ts <= end.located) & ~now.done
@@ -226,7 +228,7 @@ def _solve(
         )  # fmt: skip
         y, mode, closed, residual, fine = transition(system, end.t, end.y, now.mode, e, rest, law)
         after = y
-        y = carry_back(system.field, end.t, y, mode, end.located)
+        y = carry_back(field, end.t, y, mode, end.located)
         event = end.reached & ~now.done
         failed = ~now.done & ~(end.success & (fine | ~end.reached))
         done = now.done | ~end.reached | failed

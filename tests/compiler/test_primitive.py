@@ -9,7 +9,7 @@ import pytest
 
 from rbjax.compiler import kernels_available
 from rbjax.compiler.jax import tangents
-from rbjax.compiler.jax.function import compile_threads, threads
+from rbjax.compiler.jax.function import compile_threads, one_program, threads
 from tests.compilations import compilations
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -233,3 +233,33 @@ def test_without_a_gpu_threads_is_the_function():
     assert "threads[" in str(jax.make_jaxpr(jax.vmap(compile_threads(f)))(X, Y))
     with pytest.raises(TypeError, match="got int"):
         threads(3)
+
+
+def test_calls_in_several_loops_share_one_program():
+    """One program for arguments of equal shapes, with a traced value that the function closes over;
+    values and derivatives are those of the function."""
+    x, scale = jnp.array([0.3, -0.7]), jnp.array(1.3)
+
+    def total(scale, x, shared):
+        f = lambda y: {"sin": jnp.sin(scale * y), "one": 1}  # noqa: E731
+        f = one_program(f) if shared else f
+        turn = lambda y, _: (f(y)["sin"], None)  # noqa: E731
+        y = jax.lax.scan(turn, x, None, length=2)[0]
+        y = jax.lax.scan(turn, y, None, length=3)[0] * f(y)["one"]
+        return y.sum() + f(y[0])["sin"]  # a number: another program
+
+    def programs(jaxpr):
+        found = set()
+        for eqn in jaxpr.eqns:
+            found |= {id(eqn.params["program"])} if "program" in eqn.params else set()
+            if eqn.primitive.name in ("scan", "jit"):
+                found |= programs(eqn.params["jaxpr"].jaxpr)
+        return found
+
+    assert len(programs(jax.make_jaxpr(lambda *at: total(*at, True))(scale, x).jaxpr)) == 2
+    for g in (lambda f: f, lambda f: jax.grad(f, (0, 1)), lambda f: jax.jacfwd(f, (0, 1))):
+        own, plain = (jax.jit(g(lambda *at, shared=k: total(*at, shared))) for k in (True, False))
+        for a, b in zip(
+            jax.tree.leaves(own(scale, x)), jax.tree.leaves(plain(scale, x)), strict=True
+        ):
+            np.testing.assert_allclose(a, b, rtol=1e-13)

@@ -6,6 +6,12 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.contact.impacts.impulse_equations import (
+    ImpulseProblem,
+    _in_order,
+    _sweeps,
+    sweep_impulses,
+)
 from tests.contact.scenes import ball, kane_levinson, load, load_text, row
 
 FREE = "<freejoint/>"
@@ -161,3 +167,38 @@ def test_the_friction_of_the_file(pair, mu):
     np.testing.assert_allclose(rb.contact.MoreauContact.of(model).friction, mu, rtol=1e-15)
     compliant = rb.contact.CompliantContact.of(model, stiffness=1e4)
     np.testing.assert_allclose(compliant.friction, mu, rtol=1e-15)
+
+
+def test_sweeps_visit_only_contacts_that_may_have_an_impulse():
+    """Two contacts and a friction loss of nine candidates: impulses and both derivatives are those
+    of sweeps over all, for finite and infinite friction."""
+    rng = np.random.default_rng(0)
+    n, nv = 9, 5
+    J, L = rng.normal(size=(n, 3, nv)), rng.normal(size=(nv, nv))
+    Y = (L @ L.T + np.eye(nv)) @ J.reshape(3 * n, nv).T
+    active, dry = np.zeros(n, bool), np.zeros(n)
+    active[[2, 7]], dry[4] = True, 0.3
+    given = ImpulseProblem(
+        jnp.asarray(J), jnp.asarray(Y), jnp.asarray(rng.normal(size=(n, 3)) - 1.0),
+        jnp.zeros(n), jnp.full(n, 0.5).at[7].set(jnp.inf), jnp.asarray(active), jnp.asarray(dry),
+    )  # fmt: skip
+    order, length = _in_order(given.active | (given.dry > 0))
+    assert order[:3].tolist() == [2, 4, 7] and int(length) == 3
+    start = jnp.zeros((n, 3))
+    found = {some: _sweeps(given, start, count=40, some=some) for some in (False, True)}
+    np.testing.assert_allclose(found[True], found[False], atol=1e-12)
+    p = sweep_impulses(given, start, 40)
+    np.testing.assert_allclose(p, found[True], atol=1e-12)
+    pushed = set(np.flatnonzero(np.abs(p).sum(1)).tolist())
+    assert pushed <= {2, 4, 7} and len(pushed) > 1
+    every = given.relative_velocity(p)
+    np.testing.assert_allclose(given.D.reshape(3 * n, -1) @ p.ravel(), (every - given.u).ravel())
+
+    def of(u):
+        return sweep_impulses(given._replace(u=u), start, 40)[jnp.array([2, 4, 7])]
+
+    forward, back = jax.jacfwd(of)(given.u), jax.jacrev(of)(given.u)
+    np.testing.assert_allclose(forward, back, atol=1e-12)
+    h, way = 1e-6, jnp.asarray(rng.normal(size=(n, 3)))
+    change = (of(given.u + h * way) - of(given.u - h * way)) / (2 * h)
+    np.testing.assert_allclose((forward * way).sum((-2, -1)), change, atol=1e-7)

@@ -15,6 +15,8 @@ from rbjax.contact.soft import detected
 from rbjax.model import State
 from tests.tolerances import F64_PARITY, relative_error
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*a contact gains energy")
+
 #: attributes of geoms that MuJoCo accepts; friction, solref, solimp, margin and gap are odd
 ODD = (
     'friction="-1 -0.1 -0.01" priority="1"', 'friction="0 0 0" priority="1"',

@@ -241,7 +241,10 @@ DROPPED = {  # word of the message: file that has it
         extra='<tendon><fixed name="rope" frictionloss="1"><joint joint="a" coef="1"/></fixed>'
         '<fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
-    "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
+    "poses of mocap bodies in keyframes (up)": mjcf(
+        body("<joint/>"), '<body mocap="true" pos="0 0 1"/>',
+        extra='<keyframe><key name="same"/><key name="up" mpos="0 0 2"/></keyframe>',
+    ),
     "actuators: delays of controls (late)": mjcf(
         body('<joint name="a"/>'),
         extra='<actuator><motor name="late" joint="a" delay="0.1" nsample="50"/></actuator>',

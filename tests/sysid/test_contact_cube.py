@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 import rbjax as rb
 from benchmarks.cases import cube
-from rbjax.sysid import Setup, identify
+from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
 from rbjax.sysid.simulation.setup import Grid, Path, read_sensor
 
 needs_data = pytest.mark.skipif(
@@ -65,6 +66,44 @@ def test_a_touch_sensor_is_read_in_a_simulation() -> None:
     slope = jax.jvp(read, (state.v,), (jnp.ones(1),))[1]
     difference = (read(state.v + 1e-4) - read(state.v - 1e-4)) / 2e-4
     np.testing.assert_allclose(slope, difference, rtol=1e-6)
+
+
+PRESSED = """<mujoco><option timestep="0.005" cone="elliptic"/><worldbody>
+  <geom type="plane" size="0 0 1" priority="1" solref="0.03 1"
+    solimp="0.0001 0.95 0.01 0.5 2"/>
+  <body name="box" pos="0 0 0.099"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom type="box" size="0.1 0.1 0.1" mass="{}"/>
+    <site name="pad" type="box" size="0.11 0.11 0.11"/></body></worldbody>
+  <actuator><motor joint="z"/></actuator><sensor><touch name="touch" site="pad"/></sensor>
+  </mujoco>"""
+
+
+def test_the_mass_of_a_pressed_box_is_found_by_its_touch_sensor() -> None:
+    """Readings of MuJoCo with 0.1 N of noise; the softness of the floor follows the mass, so the
+    height alone says little."""
+    true, steps, rng = 2.3, 60, np.random.default_rng(0)
+    m = mujoco.MjModel.from_xml_string(PRESSED.format(true))
+    data, t, rows = mujoco.MjData(m), 0.005 * np.arange(steps + 1), []
+    for now in t:
+        data.ctrl[:] = -8 * np.sin(4 * np.pi * now) ** 2
+        mujoco.mj_forward(m, data)
+        rows.append([data.qpos[0], data.ctrl[0], data.sensordata[0]])
+        mujoco.mj_step(m, data)
+    q, ctrl, force = np.array(rows).T[..., None]
+    first = np.full_like(q, np.nan)
+    first[0] = 0
+    recording = Recording("pressed", {
+        "q": Channel(t, q + 1e-5 * rng.normal(size=q.shape), noise=np.full(1, 1e-5)),
+        "v": Channel(t, first, noise=np.full(1, 1e-3), dropped="nan"), "ctrl": Channel(t, ctrl),
+        "other:touch": Channel(t, force + 0.1 * rng.normal(size=q.shape), noise=np.full(1, 0.1)),
+    })  # fmt: skip
+    model = jax.tree.map(_double, rb.load(PRESSED.format(1.5), contacts=True))
+    setup = Setup.of(model).with_sensors({"other:touch": model.sensors[0]})
+    mass = {"mass": Unknown("bodies.mass", 0, positive=True)}
+    found = identify(setup, recording, mass, grid=Grid(0.005), restarts=0)
+    assert found.success, found.summary()
+    interval = found.estimates.interval("mass")
+    assert interval.low < true < interval.high and interval.sigma < 0.01, found.summary()
 
 
 @needs_data

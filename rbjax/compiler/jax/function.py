@@ -108,6 +108,43 @@ def compile_threads(f: Callable, team: bool = False) -> Callable:
     return call
 
 
+def one_program(f: Callable) -> Callable:
+    """Compile f so that all its calls share one program and one kernel, in all loops that call it.
+
+    f may close over traced values that exist at each call. If no device runs kernels, all calls
+    share the trace of `jax.jit`.
+    """
+    if not kernels_available():
+        return jax.jit(f)
+    programs: dict[object, tuple] = {}
+
+    def made(leaves: list[jax.Array], tree: jax.tree_util.PyTreeDef) -> tuple:
+        """Return the program, the values that it closes over, the results that are constants, with
+        None for the others, and the structure of all results."""
+        found: list = []
+
+        def flat(*xs: jax.Array) -> list[jax.Array]:
+            found[:] = jax.tree.flatten(f(*jax.tree.unflatten(tree, xs)))
+            return [x for x in found[0] if isinstance(x, jax.core.Tracer)]
+
+        program, closed_over = trace(flat, leaves)
+        constants = [None if isinstance(x, jax.core.Tracer) else x for x in found[0]]
+        return program, closed_over, constants, found[1]
+
+    @functools.wraps(f)
+    def call(*args: object) -> object:
+        given, tree = jax.tree.flatten(args)
+        leaves = [jnp.asarray(x) for x in given]
+        key = tree, tuple((x.shape, x.dtype) for x in leaves)
+        if key not in programs:
+            programs[key] = made(leaves, tree)
+        program, closed_over, constants, structure = programs[key]
+        rest = iter(run(program, [*closed_over, *leaves]))
+        return jax.tree.unflatten(structure, [next(rest) if x is None else x for x in constants])
+
+    return call
+
+
 def with_multi_kernel(f: Callable, kernels: Callable, max_batch: int) -> Callable:
     """Compile f like `threads`, and run `kernels` for batches of up to `max_batch` on a GPU.
 

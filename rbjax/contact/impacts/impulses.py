@@ -180,8 +180,8 @@ def _impulse(
     sweeps: int,
 ) -> Impulse:  # fmt: skip
     contacts = contacts_at(model, q, reach, pairs)
-    _, problem, Y = impact_problem(model, q, v, contacts, mu, t)
-    v, p, *found = impact(problem, Y, v, e, law, sweeps)
+    problem = impact_problem(model, q, v, contacts, mu, t)
+    v, p, *found = impact(problem, v, e, law, sweeps)
     return Impulse(v, p, contacts, *found)
 
 
@@ -189,7 +189,7 @@ _program = jax.jit(_impulse, static_argnames=("pairs", "law", "sweeps"))
 
 
 def impact(
-    problem: ImpulseProblem, Y: jax.Array, v: jax.Array, e: jax.Array, law: str, sweeps: int = 100
+    problem: ImpulseProblem, v: jax.Array, e: jax.Array, law: str, sweeps: int = 100
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Compute v after the impact, the impulses (n, 3), the residual and whether it succeeded."""
     active, mu, dtype = problem.active, problem.mu, v.dtype
@@ -210,18 +210,17 @@ def impact(
         p, residual = solve_impulses(problem._replace(b=b), sweeps)
         speed = jnp.abs(problem.u).max(initial=0.0)
         success = residual <= 1e3 * jnp.finfo(dtype).eps * (1 + speed)
-    return v + matvec(Y, p.reshape(-1)), p, residual, success
+    return v + problem.change(p), p, residual, success
 
 
 def impact_problem(
     model: Model, q: jax.Array, v: jax.Array, contacts: Contacts, mu: jax.Array, t: Any,
     others: jax.Array | None = None,
-) -> tuple[jax.Array, ImpulseProblem, jax.Array]:  # fmt: skip
-    """Return the contact Jacobian J (n, 3, nv), the impulse problem without restitution, and W J^T.
+) -> ImpulseProblem:  # fmt: skip
+    """Return the impulse problem without restitution.
 
-    W is the inverse mass matrix of the constrained model, so that W J^T (nv, 3 n) is the change of
-    the velocity by unit impulses. `others` are rows (m, 3, nv) that follow those of the contacts;
-    then n includes m, and they are active and frictionless.
+    W is the inverse mass matrix of the constrained model. `others` are rows (m, 3, nv) that follow
+    those of the contacts; then n includes m, and they are active and frictionless.
     """
     J, exists = contact_jacobian(model, q, contacts), contacts.exists
     if others is not None:
@@ -231,6 +230,5 @@ def impact_problem(
     n, nv = len(J), model.nv
     rows = J.reshape(3 * n, nv)
     Y = matmat(constrained_inverse_inertia(model, q, t), matrix_transpose(rows))
-    D = matmat(rows, Y).reshape(n, 3, n, 3)
     u = matvec(rows, v).reshape(n, 3)
-    return J, ImpulseProblem(D, u, jnp.zeros(n, v.dtype), mu, exists), Y
+    return ImpulseProblem(J, Y, u, jnp.zeros(n, v.dtype), mu, exists)

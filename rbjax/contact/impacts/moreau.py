@@ -154,20 +154,20 @@ class MoreauContact(Record):
         velocity (nv,) over the step."""
         assert state.memory is not None
         step = self._impulses(model, t, state, tau, f_ext, dt, state.memory)
-        v, problem, events, J, Y, p = state.v, step.problem, step.events, step.J, step.Y, step.p
-        active = problem.active
-        slip = matvec(J.reshape(-1, len(v)), v).reshape(-1, 3)[:, 1:]
+        v, problem, events, p = state.v, step.problem, step.events, step.p
+        active, J = problem.active, problem.J.reshape(-1, len(v))
+        slip = matvec(J, v).reshape(-1, 3)[:, 1:]
         moving = jnp.where(active[:, None], p * events.part[:, None], 0)
         moving = moving.at[:, 1:].add(
             jnp.where(events.leaves[:, None], 0, end_of_slip(problem, p, slip))
         )
-        mean = v + 0.5 * dt * step.free + matvec(Y, moving.at[:, 0].set(0).reshape(-1))
-        u = matvec(J.reshape(-1, len(v)), mean).reshape(-1, 3)
+        mean = v + 0.5 * dt * step.free + problem.change(moving.at[:, 0].set(0))
+        u = matvec(J, mean).reshape(-1, 3)
         places = problem._replace(u=u, b=events.mean, mu=jnp.zeros_like(problem.mu), dry=0.0)
         r = sweep_impulses(places, moving.at[:, 1:].set(0), self.sweeps)
         memory = jnp.concatenate([p.reshape(-1), step.residual[None]])
-        after = v + dt * step.free + matvec(Y, p.reshape(-1))
-        return after, memory, mean + matvec(Y, r.reshape(-1))
+        after = v + dt * step.free + problem.change(p)
+        return after, memory, mean + problem.change(r)
 
     def solve(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces, dt: Any = None
@@ -182,12 +182,12 @@ class MoreauContact(Record):
         step = self._impulses(model, t, state, tau, f_ext, dt, memory)
         n, sources, contacts = len(self.restitution), joint_sources(model), step.contacts
         f = step.p / dt
-        along = (step.J * f[..., None]).sum(1)  # J^T f of each row
+        along = (step.problem.J * f[..., None]).sum(1)  # J^T f of each row
         kinds = np.array([*["contact"] * n, *(kind for kind, *_ in sources)])
         contact, limit, friction = (
             along[np.flatnonzero(kinds == kind)].sum(0) for kind in ("contact", LIMIT, FRICTION)
         )
-        a = step.free + matvec(step.Y, step.p.reshape(-1)) / dt
+        a = step.free + step.problem.change(step.p) / dt
         rubs = np.array(kinds[n:] == FRICTION, bool)
         equality, rows = jnp.zeros_like(a), jnp.where(rubs, f[n:, 1], f[n:, 0])
         if model.constraints:
@@ -237,8 +237,8 @@ class MoreauContact(Record):
         else:
             a = formulation(model, t, state, tau, f_ext)
         contacts, joints = contacts_at(model, q, jnp.inf, self.pairs), joint_rows(model, q)
-        J, problem, Y = impact_problem(model, q, v + dt * a, contacts, mu, t, joints.J)
-        normal = J[:, 0]
+        problem = impact_problem(model, q, v + dt * a, contacts, mu, t, joints.J)
+        normal = problem.J[:, 0]
         gap = jnp.concatenate([contacts.distance, joints.gap])
         dry = jnp.concatenate([jnp.zeros_like(e), dt * joints.floss])
         e = jnp.concatenate([e, jnp.zeros_like(joints.gap)])
@@ -248,7 +248,7 @@ class MoreauContact(Record):
         start = jnp.where(active[:, None], memory[:-1].reshape(-1, 3).astype(dtype), 0)
         p = sweep_impulses(problem, start, self.sweeps)
         residual = jnp.abs(natural_map(problem, p)).max(initial=0.0)
-        return _Step(contacts, J, problem, Y, events, a, p, residual)
+        return _Step(contacts, problem, events, a, p, residual)
 
 
 class _Step(NamedTuple):
@@ -256,7 +256,7 @@ class _Step(NamedTuple):
 
     Fields:
         contacts: the candidate contacts.
-        J, problem, Y: as `impact_problem` returns them.
+        problem: the impulse equations.
         events: of the rows within the step.
         free: (nv,) acceleration without impulses.
         p: (n, 3) impulses.
@@ -264,9 +264,7 @@ class _Step(NamedTuple):
     """
 
     contacts: Contacts
-    J: jax.Array
     problem: ImpulseProblem
-    Y: jax.Array
     events: Touchdown
     free: jax.Array
     p: jax.Array

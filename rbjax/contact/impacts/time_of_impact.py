@@ -101,7 +101,7 @@ def end_of_slip(problem: ImpulseProblem, p: jax.Array, slip: jax.Array) -> jax.A
     speed = jnp.sqrt(jnp.where(slips, square, 1.0))
     along = jnp.where(slips, slip / speed, 0.0)
     full = p.at[:, 1:].set(-problem.friction(p[:, 0])[:, None] * along)
-    later = problem.u + (problem.D * full).sum((-2, -1))
+    later = problem.relative_velocity(full)
     w = (later[:, 1:] * along).sum(-1, keepdims=True)
     ends = slips & (w < 0) & problem.active[:, None]
     part = jnp.where(ends, speed / jnp.where(ends, speed - w, 1.0), 0.0)

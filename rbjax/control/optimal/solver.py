@@ -310,9 +310,9 @@ def _search(
     """Run a method, and correct its status for violated constraints and nan values."""
     used = method_of(method)
 
-    def search(*given: Any) -> SearchResult:
-        found = used.solve(*given, history)
-        return _motion_if_stuck(*given[:2], found) if used.gaps else found
+    def search(problem: Problem, start: Any, *guess: Any) -> SearchResult:
+        found = used.solve(problem, start, *guess, history)
+        return _motion_if_stuck(problem, start, found) if used.gaps else found
 
     if used.differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)

@@ -11,8 +11,9 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     """Return the pairs of geoms that may collide, the geom of the earlier type first.
 
     The pairs of `<pair>` come first, as often as the file gives them. All other pairs need matching
-    masks. Excluded are geoms of one rigid body, of a body and its parent unless the parent is
-    fixed, and the pairs of `<exclude>`. (MuJoCo, *Computation*, "Collision detection".)
+    masks. Excluded are geoms of one rigid body, of two bodies that no joint moves, such as a mocap
+    body and the world, of a body and its parent unless the parent is fixed, and the pairs of
+    `<exclude>`. (MuJoCo, *Computation*, "Collision detection".)
     """
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit
     if off & (bit.mjDSBL_CONTACT | bit.mjDSBL_CONSTRAINT):
@@ -21,6 +22,7 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     named = [_in_order(m, a, b) for a, b in explicit]
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in m.exclude_signature}
     body, weld = m.geom_bodyid, m.body_weldid
+    moves = m.body_treeid[body] >= 0
     parent = weld[m.body_parentid[weld]]
     filtered = not off & bit.mjDSBL_FILTERPARENT
     types, affinities = m.geom_contype, m.geom_conaffinity
@@ -28,7 +30,7 @@ def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     def may_touch(a: int, b: int) -> bool:
         masks = types[a] & affinities[b] | types[b] & affinities[a]
         i, j = weld[body[a]], weld[body[b]]
-        if not masks or i == j:
+        if not masks or i == j or not (moves[a] or moves[b]):
             return False
         if filtered and i and j and (parent[i] == j or parent[j] == i):
             return False

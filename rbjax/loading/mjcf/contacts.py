@@ -33,9 +33,14 @@ def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def closed_pairs(m: mujoco.MjModel) -> list[int]:
-    """Return the positions in `contact_pairs` of the pairs that have a narrow phase."""
-    kinds = kinds_of(m)
-    return [i for i, pair in enumerate(contact_pairs(m)) if _is_closed(m, kinds, *pair)]
+    """Return the positions in `contact_pairs` of the pairs that have a narrow phase. A `<pair>` of
+    two geoms that no joint moves is left out."""
+    kinds, moves = kinds_of(m), m.body_treeid[m.geom_bodyid] >= 0
+    return [
+        i
+        for i, (a, b) in enumerate(contact_pairs(m))
+        if _is_closed(m, kinds, a, b) and (moves[a] or moves[b])
+    ]
 
 
 def _is_closed(m: mujoco.MjModel, kinds: tuple[str, ...], a: int, b: int) -> bool:

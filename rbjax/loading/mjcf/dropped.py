@@ -85,7 +85,7 @@ def dropped_features(
         note("tendon friction loss", rubbing_tendons(m), tendon)
         note("tendon armature", tendon_armature(m) != 0, tendon)
     note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
-    note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
+    note("poses of mocap bodies in keyframes", _keyframes_of_mocap(m), obj.mjOBJ_KEY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
     note("plastic tendon springs", m.tendon_plasticadr >= 0, tendon)
     left_out = [reason_left_out(m, i) for i in range(m.nactuator)]
@@ -96,6 +96,13 @@ def dropped_features(
     elsewhere = ~np.array(at, bool)
     note("damping and armature of actuators at sites", extra & elsewhere, obj.mjOBJ_ACTUATOR)
     return (*out, *["plugins"] * bool(m.nplugin))
+
+
+def _keyframes_of_mocap(m: mujoco.MjModel) -> np.ndarray:
+    """Return the mask (nkey,) of keyframes with another pose of a mocap body than the file's."""
+    bodies = np.argsort(m.body_mocapid)[m.nbody - m.nmocap :]
+    keys = (m.key_mpos, m.body_pos), (m.key_mquat, m.body_quat)
+    return np.any([(key != file[bodies].ravel()).any(1) for key, file in keys], 0)
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:

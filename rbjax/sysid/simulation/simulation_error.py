@@ -114,7 +114,8 @@ def make_programs(
             def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
                 return jax.jvp(lambda x: compare(*simulate(x, run, count), run), (x,), (e,))
 
-            return jax.vmap(along, out_axes=(None, 1))(jnp.asarray(seeds, x.dtype))
+            found, slopes = jax.vmap(along, out_axes=(0, 1))(jnp.asarray(seeds, x.dtype))
+            return found[0], slopes  # the residuals are those of any direction
 
         return jax.vmap(each)(x, runs)
 
@@ -128,10 +129,9 @@ def make_programs(
 
     both, along_all = jax.jit(simulated), jax.jit(sloped)
 
-    def slopes(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
+    def slopes(x: jax.Array, runs: Run) -> Any:
         colour(frozenset(runs.values))  # ten times slower during a trace
-        found: tuple[jax.Array, jax.Array] = along_all(x, runs)
-        return found
+        return along_all(x, runs)
 
     return Programs(
         simulate, compare, lambda *x: both(*x)[1], lambda *x: both(*x)[0], slopes, colour
