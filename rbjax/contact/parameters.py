@@ -199,11 +199,11 @@ def unstable_contacts(geoms: Geoms, dt: float, *, refsafe: bool) -> str:
     if not sums[worst] >= 4.0:
         return ""
     one, other = (geoms.names[g] for g in geoms.pairs[worst])
-    K, B = float(K[worst]), float(B[worst])
-    step = 4.0 / (B + np.sqrt(B * B + 4.0 * K))
+    stiffness, damping = float(K[worst]), float(B[worst])
+    step = 4.0 / (damping + np.sqrt(damping * damping + 4.0 * stiffness))
     return (
-        f"{one} and {other} have solref with the stiffness {K:.3g} 1/s^2 and the damping {B:.3g} "
-        f"1/s, and h^2 stiffness + 2 h damping is {sums[worst]:.3g} at the step h = {dt:.3g} s, "
+        f"{one} and {other} have solref with the stiffness {stiffness:.3g} 1/s^2 and the damping "
+        f"{damping:.3g} 1/s, and h^2 stiffness + 2 h damping is {sums[worst]:.3g} at the step h = {dt:.3g} s, "
         f"expected less than 4: a contact gains energy in each step. Take a step below "
         f'{step:.2g} s, or solref="{-0.25 / dt**2:.6g} {-1.0 / dt:.6g}" or softer'
     )

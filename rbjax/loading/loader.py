@@ -181,8 +181,9 @@ def load(
 def _unstable(model: Model) -> str:
     """Return a sentence about contacts that are unstable at the step of a file, or nothing."""
     own = model.solver
-    explicit = own is not None and own.integrator not in ("discrete", "rk4")
-    if model.contact is None or model.geoms is None or not explicit:
+    if own is None or model.contact is None or model.geoms is None:
+        return ""
+    if own.integrator in ("discrete", "rk4"):  # not explicit
         return ""
     return unstable_contacts(model.geoms, float(model.timestep), refsafe=own.refsafe)
 

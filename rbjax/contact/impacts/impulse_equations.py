@@ -114,7 +114,7 @@ def _sweeps(problem: ImpulseProblem, p: jax.Array, *, count: int, some: bool = F
     def sweep(now: tuple, _: Any) -> tuple[tuple, None]:
         for i in range(n) if n <= 2 else ():
             now = contact(i, now)
-        if n > 2 and some:
+        if order is not None:
             now = jax.lax.fori_loop(0, length, lambda k, x: contact(order[k], x), now)
         elif n > 2:
             now = jax.lax.fori_loop(0, n, contact, now)
