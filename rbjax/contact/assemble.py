@@ -249,7 +249,9 @@ class Assembly:
             for n, pair in enumerate(pairs):
                 if sorts[n] == (dim, coupled):
                     kinds.setdefault(PairKind.of(geoms, pair), []).append(n)
-            sets.append(ContactSet(dim, kinds, *tables, coupled))
+            own = [touching.link_pairs[touching.pair_of[n]] for x in kinds.values() for n in x]
+            grounded = all(WORLD in ends for ends in own)
+            sets.append(ContactSet(dim, kinds, *tables, coupled, grounded))
         return sets
 
     @property

@@ -99,6 +99,7 @@ class ContactSet:
         weights: (n,) sum of the translational inverse weights of both bodies.
         dtype: of all arrays.
         coupled: whether both links move and rows are in the axes of their links.
+        grounded: whether one of the links of each contact is the world.
     """
 
     dim: int
@@ -111,6 +112,7 @@ class ContactSet:
     options: Options
     dtype: Any
     coupled: bool
+    grounded: bool
 
     @property
     def tables(self) -> tuple[Any, Any, Any]:
@@ -135,7 +137,7 @@ class ContactSet:
 
     def rates(self, row: Row, twists: jax.Array) -> list[Lane]:
         """Compute the velocity along each row of a contact, J v, from the link twists at v."""
-        if self._on_world(twists):
+        if self.grounded:
             k, sign = self._moving_end(row)
             return row.along(Motion.from_lanes(unpack(twists[k])) * sign)
         one, other = (unpack(twists[k]) for k in self._ends(row))
@@ -152,17 +154,13 @@ class ContactSet:
 
     def add_forces(self, row: Row, wrenches: jax.Array, f: Sequence[Lane]) -> jax.Array:
         """Add the forces f along the rows of a contact to the wrenches on its two links."""
-        if self._on_world(wrenches):
+        if self.grounded:
             k, sign = self._moving_end(row)
             return wrenches.at[k].add(jnp.stack(list(row.wrench(f) * sign)))
         one, other = self._ends(row)
         second = jnp.stack(list(row.wrench(f)))
         first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
         return wrenches.at[one].add(-first).at[other].add(second)
-
-    def _on_world(self, links: jax.Array) -> bool:
-        """Return whether one of the links of each contact is the world, the last one of `links`."""
-        return bool((self.links == len(links) - 1).any(1).all())
 
     def _moving_end(self, row: Row) -> tuple[Any, Lane]:
         """Return the link of a contact with the world, and 1 if it is the second link, else -1."""

@@ -101,7 +101,7 @@ def wrenches_in_use(
         zero = np.zeros(1, int)
         one = replace(
             contacts.with_tables(own), geoms=np.zeros((1, 2), int), links=np.array([[0, 1]]),
-            link_pairs=zero,
+            link_pairs=zero, grounded=False,
         )  # fmt: skip
         own_world = World(place, at_v, pose, responses=response)
         row = one.row_of_found(own_world, Found(1, place, zero, zero), 0)

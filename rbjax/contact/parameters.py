@@ -204,6 +204,6 @@ def unstable_contacts(geoms: Geoms, dt: float, *, refsafe: bool) -> str:
     return (
         f"{one} and {other} have solref with the stiffness {stiffness:.3g} 1/s^2 and the damping "
         f"{damping:.3g} 1/s, and h^2 stiffness + 2 h damping is {sums[worst]:.3g} at the step "
-        f"h = {dt:.3g} s, expected less than 4: a contact gains energy in each step. Take a step below "
-        f'{step:.2g} s, or solref="{-0.25 / dt**2:.6g} {-1.0 / dt:.6g}" or softer'
+        f"h = {dt:.3g} s, expected less than 4: a contact gains energy in each step. Take a step "
+        f'below {step:.2g} s, or solref="{-0.25 / dt**2:.6g} {-1.0 / dt:.6g}" or softer'
     )
