@@ -245,7 +245,7 @@ def _candidates(model: Model) -> dict[int, int]:
 
 
 def _detected(problem: Problem, *, gap: bool = False) -> Problem:
-    """Return the problem with the active contacts that the narrow phase finds.
+    """Return the problem with its active limits, and the contacts that the narrow phase finds.
 
     gap: whether to include the contacts in the gap, which have no force.
     """
@@ -255,7 +255,7 @@ def _detected(problem: Problem, *, gap: bool = False) -> Problem:
             slots.append(contacts.collect(world, gap=gap))
         else:
             slots.append(Slots.collect(contacts, world, gap=gap))
-    return dataclasses.replace(problem, slots=slots)
+    return dataclasses.replace(problem, slots=slots, active_limits=problem.limits.active())
 
 
 def _discs(problem: Problem, *others: Any) -> list[tuple]:
