@@ -54,9 +54,12 @@ def states_of(m: mujoco.MjModel, steps: int, every: int, kick: float = 0.5) -> l
     return out
 
 
-def compare(m: mujoco.MjModel, steps: int = 300, every: int = 30) -> int:
-    """Compare each entry of the accelerations along a trajectory. Return the largest number of
-    contacts."""
+def compare(m: mujoco.MjModel, steps: int = 300, every: int = 30, *, entries: bool = True) -> int:
+    """Compare the accelerations along a trajectory. Return the largest number of contacts.
+
+    entries: whether each entry is compared by its own size. Else all are by the largest one, for
+        stiff equalities, whose forces leave rounding errors in other entries.
+    """
     model = rb.load(m, contacts=True)
 
     def found(q, v, tau):
@@ -68,7 +71,8 @@ def compare(m: mujoco.MjModel, steps: int = 300, every: int = 30) -> int:
         solution, count = run(q, v, tau)
         assert int(count) == contacts
         assert float(solution.error) <= 10 * tolerance_of(jnp.float64)
-        np.testing.assert_allclose(solution.x, a, rtol=F64_PARITY, atol=F64_PARITY)
+        scale = 1 + (np.abs(a) if entries else np.abs(a).max())
+        np.testing.assert_allclose(solution.x / scale, a / scale, rtol=0, atol=F64_PARITY)
         most = max(most, contacts)
     return most
 

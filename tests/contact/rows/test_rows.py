@@ -227,7 +227,7 @@ def test_cassie_on_the_ground(cone: str) -> None:
     m = mujoco.MjModel.from_xml_string(text)
     m.opt.ls_tolerance, m.opt.iterations, m.opt.ls_iterations = 1e-10, 300, 100
     m.opt.timestep = 0.002
-    assert compare(m, steps=400, every=20) >= 2
+    assert compare(m, steps=400, every=20, entries=False) >= 2
 
 
 SENSORS = {
