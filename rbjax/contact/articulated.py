@@ -11,14 +11,13 @@ articulated body dynamics algorithms*, 2024.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import stacked
-from rbjax.contact.rows.scalar_row import ScalarRow
+from rbjax.contact.problem import Stiff, stacked
 from rbjax.dynamics.algorithms.aba import (
     accelerated,
     eliminated,
@@ -101,25 +100,19 @@ class ArticulatedTree(NamedTuple):
         like = jnp.zeros(d.topology.nv, wrenches.dtype)
         return unpack(d.pack(d.inward(inward, zero, xs), like))
 
-    def factorize(
-        self,
-        stiffness: jax.Array,
-        rows: Sequence[tuple[ScalarRow, Lane]],
-        limits: Mapping[int, Lane],
-    ) -> Factors:
+    def factorize(self, stiffness: jax.Array, rows: Sequence[Stiff]) -> Factors:
         """Factorize the Hessian of the contact problem, without contacts between two links.
 
         stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
             (`Row.stiffness`).
-        rows: scalar rows with their Hessians; each row acts on one dof.
-        limits: the Hessian of the limits of each dof.
+        rows: of the rows with one force; each row acts on one dof.
         """
         d, zero = self.d, ArticulatedInertia.zero()
         pairs = enumerate(self.link_pairs)
         K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
-        extra = dict(limits)
-        for row, h in rows:
-            for i, x in row.J.items():
+        extra: dict[int, Lane] = {}
+        for J, h in rows:
+            for i, x in J.items():
                 extra[i] = add(extra.get(i, 0.0), mul(h, mul(x, x)))
         given = d.scattered(extra, 0.0), d.scattered(K, zero)
         return Factors(d, factorize(d, self.joints, *given, self.poses))

@@ -36,7 +36,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.conjugate_gradients import products, solve_direction, weighted_square
-from rbjax.contact.problem import Problem, add_row
+from rbjax.contact.problem import Problem, Stiff, add_row
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, unpack
 
 #: bytes of a number -> the relative gradient at which the iteration ends
@@ -152,10 +152,11 @@ def _unset(slots: Any, dim: int) -> jax.Array:
 
 
 def _factors(problem: Problem, at: _Iterate) -> Any:
-    x, at_limits = unpack(at.x), problem.at_limits.hessian(at.x)
-    rows = [(row, row.response(sub(row.along(x), row.reference))[1]) for row in problem.loose]
-    limits = {i: at_limits[i] for i in problem.limits.dofs}
-    return problem.tree.factorize(at.stiffness, rows, limits)
+    x, limits = unpack(at.x), problem.at_limits.hessian(at.x)
+    rows: list[Stiff] = [({i: 1.0}, limits[i]) for i in problem.limits.dofs]
+    for row in problem.loose:
+        rows.append((row.J, row.response(sub(row.along(x), row.reference))[1]))
+    return problem.tree.factorize(at.stiffness, rows)
 
 
 def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:

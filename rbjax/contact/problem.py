@@ -32,6 +32,9 @@ from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
+#: J (dof -> coefficient) and the Hessian s'' of a row with one force
+Stiff = tuple[Mapping[int, Lane], Lane]
+
 
 class Factors(NamedTuple):
     """The factors of the Hessian M + J^T H J of the contact problem, with the Hessians H of the
@@ -110,18 +113,12 @@ class Tree(NamedTuple):
         x = factors.solve(b)
         return x, self.twists(x, dtype)
 
-    def factorize(
-        self,
-        stiffness: jax.Array,
-        rows: Sequence[tuple[ScalarRow, Lane]],
-        limits: Mapping[int, Lane],
-    ) -> Factors:
+    def factorize(self, stiffness: jax.Array, rows: Sequence[Stiff]) -> Factors:
         """Factorize the Hessian of the contact problem.
 
         stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
             (`Row.stiffness`).
-        rows: scalar rows with their Hessians.
-        limits: the Hessian of the limits of each dof.
+        rows: of the rows with one force.
         """
         A = [list(row) for row in self.M]
         K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
@@ -138,11 +135,9 @@ class Tree(NamedTuple):
             F = fusion_barrier(k(self.S[i]))
             for j in self.ancestors[i]:
                 A[i][j] = add(A[i][j], self.S[j].dot(F))
-        for i, h in limits.items():
-            A[i][i] = add(A[i][i], h)
-        for row, h in rows:
-            for i, x in row.J.items():
-                for j, y in row.J.items():
+        for J, h in rows:
+            for i, x in J.items():
+                for j, y in J.items():
                     if j <= i:
                         A[i][j] = add(A[i][j], mul(mul(h, x), y))
         return Factors(ldlt(A))
