@@ -1,0 +1,14 @@
+"""Beams in strain coordinates: the strains are polynomials, and the pose is their integral.
+
+basis              Legendre polynomials, Gauss points, moments of a cell, integration matrix
+rotation           rotation over a cell: Magnus expansion of order 6, exponential, derivatives
+turning            rotations, their columns and their rates at the nodes of a beam
+beam_kinematics    positions, columns and accelerations at the frames of a beam
+strain_beam        `StrainBeam`, a flexible link
+elastic_energy     stiffness matrix of the coordinates, elastic energy
+"""
+
+from rbjax.flexible.strain.elastic_energy import elastic_energy, stiffness_matrix
+from rbjax.flexible.strain.strain_beam import StrainBeam, largest_cell_angle, strain_beam
+
+__all__ = ["StrainBeam", "elastic_energy", "largest_cell_angle", "stiffness_matrix", "strain_beam"]

@@ -1,0 +1,165 @@
+"""Positions, columns and accelerations at the frames of a beam, on lanes.
+
+    r_g = sum_h A_gh t_h,                              t_h = L R_h Gamma_h
+    dr_g/dq_j = sum_h A_gh (W_hj x t_h + L R_h B_hj)
+    r_g' = sum_h A_gh (w_h x t_h + u_h),               u_h = L R_h Gamma_h'
+    r_g'' = sum_h A_gh (alpha_h x t_h + w_h x (w_h x t_h + 2 u_h))        at q'' = 0
+
+h is a Gauss point, A the integration matrix (`basis.integration_matrix`), Gamma the strain along
+the beam with the value 1 of the unstrained beam, B_hj = dGamma_h/dq_j, and W_j, w and alpha belong
+to the sections (`turning`). The columns are the exact derivatives of these sums, and the
+accelerations their exact second derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rbjax.flexible.strain.turning import Coefficients, Orientation
+from rbjax.lanes import Lane, Vec3, add, fusion_barrier, inner, is_literal
+from rbjax.spatial import Motion, Transform
+
+Rows = Sequence[Sequence[float]]
+
+
+class Stretched(NamedTuple):
+    """The tangents of a beam at its Gauss points, in base axes, times the length.
+
+    Fields:
+        t: L R Gamma.
+        u: L R Gamma'.
+        sections: the sections at the Gauss points.
+    """
+
+    t: list[Vec3]
+    u: list[Vec3]
+    sections: Sequence[Orientation]
+
+
+def stretch(
+    sections: Sequence[Orientation],
+    values: Rows,
+    strain: Coefficients,
+    rate: Coefficients | None,
+    length: Lane,
+) -> Stretched:
+    """Compute the tangents at the Gauss points.
+
+    Args:
+        sections: the sections at the Gauss points.
+        values: P_j at the Gauss points.
+        strain: coefficients of Gamma - (1, 0, 0).
+        rate: their time derivatives; None if the velocities are not needed.
+        length: the length of the beam, m.
+    """
+
+    def at(P: Sequence[float], coefficients: Coefficients) -> Vec3:
+        return Vec3(*(inner(P[: len(c)], c) for c in coefficients))
+
+    one = Vec3(1.0, 0.0, 0.0)
+    t = [(x.R @ (one + at(P, strain))) * length for x, P in zip(sections, values, strict=True)]
+    if rate is None:
+        return Stretched(fusion_barrier(t), [Vec3.zero()] * len(t), sections)
+    u = [(x.R @ at(P, rate)) * length for x, P in zip(sections, values, strict=True)]
+    t, u = fusion_barrier((t, u))
+    return Stretched(t, u, sections)
+
+
+def position(weights: Sequence[float], s: Stretched) -> Vec3:
+    """Compute r of a frame in the base frame, from its row A of weights."""
+    return _sum(weights, s.t)
+
+
+def turning_columns(
+    rows: Rows, s: Stretched, sections: Sequence[Orientation], length: Lane
+) -> list[list[Motion]]:
+    """Compute [W_j; dr/dq_j] of each frame and coordinate of curvature, in the frame's axes.
+
+    Args:
+        rows: rows A of weights of the frames.
+        s: the tangents at the Gauss points.
+        sections: the sections of the frames.
+        length: the length of the beam; a coordinate of curvature turns by W_j times the length.
+    """
+    out: list[list[Motion]] = [[] for _ in rows]
+    t = fusion_barrier([x * length for x in s.t])
+    for j in range(len(s.sections[0].turn)):
+        turns = [x.turn[j] for x in s.sections]
+        constant = all(is_literal(x) for turn in turns for x in turn)
+        arms = [] if constant else [w.cross(x) for w, x in zip(turns, t, strict=True)]
+        for columns, row, section in zip(out, rows, sections, strict=True):
+            if constant:
+                lin = Vec3.zero()
+                for a, w, x in zip(row, turns, t, strict=True):
+                    lin = lin + (w * a).cross(x)
+            else:
+                lin = _sum(row, arms)
+            E = section.R.T
+            columns.append(Motion((E @ section.turn[j]) * length, E @ lin))
+    return out
+
+
+def stretching_columns(
+    rows: Rows,
+    values: Rows,
+    strains: Sequence[tuple[int, int]],
+    s: Stretched,
+    sections: Sequence[Orientation],
+    length: Lane,
+) -> list[list[Motion]]:
+    """Compute [0; dr/dq_j] of each frame and coordinate of Gamma, in the frame's axes.
+
+    Args:
+        rows: rows A of weights of the frames.
+        values: P_j at the Gauss points.
+        strains: (component, degree) of each coordinate.
+        s: the tangents at the Gauss points.
+        sections: the sections of the frames.
+        length: the length of the beam.
+    """
+    out: list[list[Motion]] = [[] for _ in rows]
+    axes = {k: [x.R.columns[k] * length for x in s.sections] for k in {k for k, _ in strains}}
+    for k, j in strains:
+        for columns, row, section in zip(out, rows, sections, strict=True):
+            weights = [a * P[j] for a, P in zip(row, values, strict=True)]
+            columns.append(Motion(Vec3.zero(), section.R.T @ _sum(weights, axes[k])))
+    return out
+
+
+def velocities(
+    rows: Rows, s: Stretched, sections: Sequence[Orientation]
+) -> list[tuple[Motion, Motion]]:
+    """Compute the twist and the acceleration [w'; r''] of each frame, in the frame's axes."""
+    moved = [x.w.cross(t) for x, t in zip(s.sections, s.t, strict=True)]
+    v = [m + u for m, u in zip(moved, s.u, strict=True)]
+    a = [
+        x.alpha.cross(t) + x.w.cross(m + u * 2.0)
+        for x, t, m, u in zip(s.sections, s.t, moved, s.u, strict=True)
+    ]
+    v, a = fusion_barrier((v, a))
+    out = []
+    for row, section in zip(rows, sections, strict=True):
+        E = section.R.T
+        twist = Motion(E @ section.w, E @ _sum(row, v))
+        out.append((twist, Motion(E @ section.alpha, E @ _sum(row, a))))
+    return out
+
+
+def pose(weights: Sequence[float], s: Stretched, section: Orientation) -> Transform:
+    """Return the pose of a frame in the base frame."""
+    return Transform(section.R, position(weights, s))
+
+
+def _sum(weights: Sequence[float], vectors: Sequence[Vec3]) -> Vec3:
+    out = Vec3.zero()
+    for a, x in zip(weights, vectors, strict=True):
+        out = out + x * a
+    return out
+
+
+def added(a: Sequence[Lane], b: Sequence[Lane]) -> list[Lane]:
+    """Add two lists of coefficients of different lengths."""
+    n = max(len(a), len(b))
+    x, y = ([*c, *[0.0] * (n - len(c))] for c in (a, b))
+    return [add(i, j) for i, j in zip(x, y, strict=True)]

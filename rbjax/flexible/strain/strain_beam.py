@@ -1,0 +1,358 @@
+"""A beam whose strains are polynomials of the arclength: geometric variable strain.
+
+    xi(s) = [k_x, k_y, k_z, 1 + e_x, g_y, g_z] = xi_0(s) + sum_j P_j(2 s / L - 1) q_j
+
+The base frame is at s = 0 and x is along the beam. k_x is torsion, k_y and k_z bending, e_x axial
+strain, g_y and g_z shear. A strain that is absent is zero: without shear the beam is a Kirchhoff
+rod, and without e_x it is inextensible. xi_0 has natural curvature and twist.
+
+(Boyer, Lebastard, Candelier & Renda, *Dynamics of continuum and soft robots: a strain
+parameterization based approach*, IEEE T-RO 37(3), 2021. Here rotations and positions are integrated
+separately, by a Magnus expansion on SO(3) and by Gauss quadrature, which keeps spectral accuracy.)
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.flexible.strain import basis, beam_kinematics
+from rbjax.flexible.strain.turning import Cells, Coefficients, Orientation
+from rbjax.joints.flexible import Flexible, FrameMotion
+from rbjax.joints.registry import register
+from rbjax.lanes import Lane, Sym3, Vec3, is_zero, mul, safe_sqrt
+from rbjax.spatial import Motion, RigidInertia, Transform
+
+#: the strains, in the order of the 6 by 6 stiffness of a section
+STRAINS = ("k_x", "k_y", "k_z", "e_x", "g_y", "g_z")
+_MOST = 30  # the largest degree: the basis of more coefficients is better split into several beams
+
+
+class Shape(NamedTuple):
+    """The static configuration of a beam.
+
+    Fields:
+        degrees: (strain, degree) in the order of `STRAINS`.
+        points: the number of Gauss points.
+        places: s / L of further frames.
+        natural: (curvature, degree) of natural curvature and twist.
+        tapered: True if the section varies along the beam.
+        eccentric: True if the mass centre of a section is off the line, or its axes are not
+            principal.
+    """
+
+    degrees: tuple[tuple[str, int], ...]
+    points: int
+    places: tuple[float, ...] = ()
+    natural: tuple[tuple[str, int], ...] = ()
+    tapered: bool = False
+    eccentric: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name of the kind of joint."""
+        parts = [f"{strain}^{degree}" for strain, degree in self.degrees]
+        parts += [f"points={self.points}"]
+        parts += [f"frame={x!r}" for x in self.places]
+        parts += [f"natural_{strain}^{degree}" for strain, degree in self.natural]
+        parts += ["tapered"] * self.tapered + ["eccentric"] * self.eccentric
+        return f"strain_beam({','.join(parts)})"
+
+
+class StrainBeam(Flexible):
+    """A flexible link in strain coordinates. Create it with `strain_beam`, which registers it.
+
+    The coordinates are the Legendre coefficients of the strains, strain by strain in the order of
+    `STRAINS`, each from degree 0 upwards. The frames are the Gauss points, which carry the mass,
+    then the tip, then the further frames.
+
+    Attributes:
+        shape: the static configuration.
+        columns: (index of the strain, degree) of each coordinate.
+        nodes, weights: s / L of the Gauss points and their weights, whose sum is 1.
+        tip: the index of the frame at the tip.
+    """
+
+    def __init__(self, shape: Shape):
+        self.shape = shape
+        self.name = shape.name  # type: ignore[misc]
+        self.columns = tuple(
+            (STRAINS.index(name), j) for name, degree in shape.degrees for j in range(degree + 1)
+        )
+        self.coordinates = len(self.columns)
+        self.tip, self.count = shape.points, shape.points + 1 + len(shape.places)
+        nodes, weights = basis.gauss_points(shape.points)
+        self.nodes, self.weights = nodes.tolist(), weights.tolist()
+        ends = (1.0, *shape.places)
+        degree = max((j for _, j in self.columns), default=0)
+        self.values = [basis.legendre(degree, x).tolist() for x in self.nodes]
+        rows = basis.integration_matrix(shape.points, np.array([*self.nodes, *ends]))
+        rows[shape.points] = weights
+        self.rows = rows.tolist()
+        turning = [(k, j) for k, j in self.columns if k < 3]
+        natural = [(STRAINS.index(strain), j) for strain, j in shape.natural]
+        present = [*turning, *natural]
+        self._turns = len(turning)
+        self._stretching = [(k - 3, j) for k, j in self.columns if k >= 3]
+        self.cells = Cells(
+            max((j for _, j in present), default=-1),
+            nodes,
+            ends,
+            turning,
+            sorted({k for k, _ in present}),
+        )
+        stations = shape.points if shape.tapered else 1
+        each = {"mass_per_length": (1.0,), "rotary_inertia": (1e-4, 5e-5, 5e-5)}
+        if shape.eccentric:
+            each |= {"first_moment": (0.0, 0.0), "product_of_inertia": (0.0,)}
+        self.params = {  # type: ignore[misc]
+            "length": 1.0,
+            **{key: value * stations for key, value in each.items()},
+            **{f"natural_{strain}": (0.0,) * (j + 1) for strain, j in shape.natural},
+        }
+        super().__init__()
+
+    def frames(
+        self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
+    ) -> list[FrameMotion]:
+        given = self.named(params)
+        (length,) = given["length"]
+        k, strain = self._curvature(q, given), self._split(q)[1]
+        moves = not all(map(is_zero, v))
+        turn_rate, rate = self._split(v) if moves else (None, None)
+        if turn_rate:
+            turn_rate = [[mul(length, x) for x in row] for row in turn_rate]
+        sections = self.cells.sections(k, turn_rate)
+        s = beam_kinematics.stretch(sections[: self.tip], self.values, strain, rate, length)
+        turns = beam_kinematics.turning_columns(self.rows, s, sections, length)
+        stretches = beam_kinematics.stretching_columns(
+            self.rows, self.values, self._stretching, s, sections, length
+        )
+        speeds = [(Motion.zero(), Motion.zero())] * self.count
+        if moves:
+            speeds = beam_kinematics.velocities(self.rows, s, sections)
+        own = [*self._inertias(given), *[RigidInertia.zero()] * (self.count - self.tip)]
+        out = []
+        for g, (row, section) in enumerate(zip(self.rows, sections, strict=True)):
+            pose = beam_kinematics.pose(row, s, section)
+            out.append(FrameMotion.at_pose(pose, [*turns[g], *stretches[g]], *speeds[g], own[g]))
+        return out
+
+    def poses(self, q: Sequence[Lane], params: Sequence[Lane]) -> list[Transform]:
+        """Compute the pose of each frame in the base frame, as `frames` does.
+
+        Args:
+            q: the coordinates.
+            params: the parameters, in the order of `params`.
+        """
+        given = self.named(params)
+        (length,) = given["length"]
+        sections = self._sections(q, given)
+        s = beam_kinematics.stretch(
+            sections[: self.tip], self.values, self._split(q)[1], None, length
+        )
+        return [beam_kinematics.pose(row, s, x) for row, x in zip(self.rows, sections, strict=True)]
+
+    def named(self, params: Sequence[Lane]) -> dict[str, list[Lane]]:
+        """Split the flat parameters by name."""
+        out, at = {}, 0
+        for name, default in self.params.items():
+            n = len(default) if isinstance(default, tuple) else 1
+            out[name] = list(params[at : at + n])
+            at += n
+        return out
+
+    def values_of(self, **changes: Sequence[Lane] | Lane) -> list[Lane]:
+        """Return the flat parameters: the defaults with changes.
+
+        Args:
+            changes: name -> value or values; one section's values serve all of a tapered beam.
+
+        Raises:
+            UnknownName: no such parameter.
+            InputError: a wrong number of values.
+        """
+        out: list[Lane] = []
+        for name in changes:
+            if name not in self.params:
+                raise UnknownName("parameter of a beam", name, self.params)
+        for name, default in self.params.items():
+            n = len(default) if isinstance(default, tuple) else 1
+            value = changes.get(name, default)
+            values = list(value) if hasattr(value, "__len__") else [value]
+            if n % len(values) or (len(values) != n and not self.shape.tapered):
+                raise InputError(
+                    f"{self.name}: {name} has {len(values)} values, expected {n}"
+                )  # fmt: skip
+            out += values * (n // len(values))
+        return out
+
+    def _split(self, q: Sequence[Lane]) -> tuple[list[list[Lane]], list[list[Lane]]]:
+        """Return the coefficients of k and of Gamma, component by component."""
+        rows: list[list[Lane]] = [[] for _ in STRAINS]
+        for (k, _), x in zip(self.columns, q, strict=True):
+            rows[k].append(x)
+        return rows[:3], rows[3:]
+
+    def _curvature(self, q: Sequence[Lane], given: dict[str, list[Lane]]) -> Coefficients:
+        """Return the coefficients of the curvature times the length."""
+        (length,) = given["length"]
+        natural = [given.get(f"natural_{strain}", []) for strain in STRAINS[:3]]
+        rows = map(beam_kinematics.added, self._split(q)[0], natural)
+        return [[mul(length, x) for x in row] for row in rows]
+
+    def _sections(self, q: Sequence[Lane], given: dict[str, list[Lane]]) -> list[Orientation]:
+        return self.cells.sections(self._curvature(q, given), columns=False)
+
+    def _inertias(self, given: dict[str, list[Lane]]) -> list[RigidInertia]:
+        """Compute the inertia that each Gauss point carries: weight x length x section."""
+        (length,) = given["length"]
+        out = []
+        for g, weight in enumerate(self.weights):
+            share = mul(weight, length)
+
+            def of(name: str, n: int, g: int = g, share: Lane = share) -> list[Lane]:
+                at = n * g if self.shape.tapered else 0
+                values = given.get(name)
+                return [mul(share, x) for x in values[at : at + n]] if values else [0.0] * n
+
+            (m,), J = of("mass_per_length", 1), of("rotary_inertia", 3)
+            y, z = of("first_moment", 2)
+            (yz,) = of("product_of_inertia", 1)
+            out.append(RigidInertia(m, Vec3(0.0, y, z), Sym3(*J, 0.0, 0.0, yz)))
+        return out
+
+
+def strain_beam(
+    degrees: Mapping[str, int],
+    *,
+    points: int | None = None,
+    frames: Sequence[float] = (),
+    natural: Mapping[str, int] | None = None,
+    tapered: bool = False,
+    eccentric: bool = False,
+) -> StrainBeam:
+    """Create and register the kind of joint of a beam. Equal arguments give the same kind.
+
+    Args:
+        degrees: strain -> degree of its polynomial. Strains are k_x (torsion), k_y, k_z (bending
+            about y and z), e_x (axial), g_y, g_z (shear). A strain that is left out is zero.
+        points: the number of Gauss points; by default the largest number of coefficients of a
+            strain + 3, so that quadrature errs less than the polynomials.
+        frames: s / L of frames in addition to the Gauss points and the tip, in (0, 1].
+        natural: curvature -> degree of the natural curvature or twist, a parameter.
+        tapered: True for mass and rotary inertia at each Gauss point, in place of one value.
+        eccentric: True for sections whose mass centre is off the line, or whose y and z are not
+            principal axes.
+
+    Returns:
+        the joint, whose `params` are leaves of a model:
+
+        - length: m.
+        - mass_per_length: kg/m.
+        - rotary_inertia: x, y and z about the line in axes of the section, kg m.
+        - first_moment: y and z, mass per length times the mass centre, kg.
+        - product_of_inertia: entry yz of the rotary inertia, kg m.
+        - natural_k_x, natural_k_y, natural_k_z: Legendre coefficients, 1/m.
+
+    Raises:
+        InputError: no strain, a degree, a number of points or a place out of range.
+        UnknownName: no such strain.
+
+    Source: Boyer, Lebastard, Candelier & Renda, IEEE T-RO 37(3), 2021, section III.
+
+    Example:
+        >>> beam = strain_beam({"k_z": 3})
+        >>> beam.coordinates, beam.shape.points, beam.count
+        (4, 7, 8)
+        >>> quarter = beam.poses([jnp.pi / 2, 0.0, 0.0, 0.0], beam.defaults)[beam.tip]
+        >>> [round(float(x), 6) for x in quarter.p]
+        [0.63662, 0.63662, 0.0]
+    """
+    active = _degrees("degrees", degrees, STRAINS)
+    if not active:
+        raise InputError(
+            f"strain_beam: degrees is {degrees!r}, a beam without a strain, which is a rigid body; "
+            'give at least one, for example {"k_y": 2, "k_z": 2}'
+        )
+    curved = _degrees("natural", natural or {}, STRAINS[:3])
+    most = max(degree for _, degree in (*active, *curved)) + 1
+    if points is None:
+        points = most + 3
+    if not _is_integer(points) or not most <= points <= 100:
+        raise InputError(
+            f"strain_beam: points is {points!r}, expected an integer from {most}, the largest "
+            "number of coefficients of a strain, to 100; leave it out for the default"
+        )
+    places = tuple(_place(x) for x in frames)
+    return _registered(
+        Shape(active, int(points), places, curved, bool(tapered), bool(eccentric))
+    )  # fmt: skip
+
+
+@functools.cache
+def _registered(shape: Shape) -> StrainBeam:
+    beam = StrainBeam(shape)
+    register(beam)
+    return beam
+
+
+def _degrees(
+    where: str, given: Mapping[str, int], known: Sequence[str]
+) -> tuple[tuple[str, int], ...]:
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"strain_beam: {where} is {given!r}, expected a mapping from strain to degree, for "
+            f'example {{"{known[-1]}": 2}}'
+        )
+    for name, degree in given.items():
+        if name not in known:
+            raise UnknownName(f"strain in {where}", name, known)
+        if not _is_integer(degree) or not 0 <= degree <= _MOST:
+            raise InputError(
+                f"strain_beam: the degree of {name} in {where} is {degree!r}, expected an integer "
+                f"from 0 to {_MOST}; use several beams in series for more coefficients"
+            )
+    return tuple((name, int(given[name])) for name in known if name in given)
+
+
+def _place(x: float) -> float:
+    if isinstance(x, bool) or not isinstance(x, (int, float)) or not 0 < x <= 1:
+        raise InputError(
+            f"strain_beam: a frame is at s / L = {x!r}, expected a number above 0 and up to 1; the "
+            "base frame is at 0"
+        )
+    return float(x)
+
+
+def _is_integer(x: object) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool)
+
+
+def largest_cell_angle(beam: StrainBeam, q: Sequence[Lane], params: Sequence[Lane]) -> Lane:
+    """Compute the largest angle by which a cell of a beam turns, rad.
+
+    A cell lies between neighbouring nodes. From an angle of pi the expansion of a spatial rotation
+    need not converge, and the result is wrong: use more points, or several beams in series.
+    Quadrature needs an angle well below pi also for a planar beam.
+
+    Args:
+        beam: the kind of joint.
+        q: the coordinates.
+        params: the parameters, in the order of `beam.params`.
+
+    Example:
+        >>> beam = strain_beam({"k_z": 0}, points=4)
+        >>> bool(largest_cell_angle(beam, [2 * jnp.pi], beam.defaults) < jnp.pi)
+        True
+    """
+    squares = beam.cells.angles(beam._curvature(q, beam.named(params)))
+    largest: Lane = 0.0
+    for x in squares:
+        largest = jnp.maximum(largest, x)
+    return safe_sqrt(largest)
