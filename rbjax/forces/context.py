@@ -23,6 +23,7 @@ from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
+from rbjax.joints import Block
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
 from rbjax.model import Frame as NamedFrame
@@ -240,12 +241,15 @@ class Frame:
         """Compute J^T w of a wrench in frame axes at the frame's origin, by dof."""
         if not self._links.driver.listed:
             return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
-        wrench, out, at = self._on_link(wrench), {}, self.link
+        wrench, out, at, top = self._on_link(wrench), {}, self.link, self._links.driver.topology
+        block: Block = ()
         while at != WORLD:
-            X, S = self._links.to_parent(at)
-            out[at] = S.dot(wrench)
+            X, joint = self._links.to_parent(at)
+            arm, block = joint.project(wrench, block)
+            if at < top.nv:
+                out[at] = arm
             wrench = X.T(wrench)
-            at = self._links.driver.topology.dofs[at].parent
+            at = top.parents[at]
         return out
 
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:

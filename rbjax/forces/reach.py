@@ -85,16 +85,18 @@ def arms_of_pieces(links: LinkMotion, pieces: Sequence[Piece]) -> Arms:
         if crossing not in summed:
             summed[crossing] = _sum(pieces, crossing)
         point, force, moment = summed[crossing]
-        pose, S = links.pose(n), links.axis(n)
+        pose = links.pose(n)
         moment = moment + (point - pose.p).cross(force)
-        out[n] = add((pose.R @ S.ang).dot(moment), (pose.R @ S.lin).dot(force))
+        for dof, S in links.axes(n):
+            arm = add((pose.R @ S.ang).dot(moment), (pose.R @ S.lin).dot(force))
+            out[dof] = add(out[dof], arm) if dof in out else arm
     return out
 
 
 def _crossings(links: LinkMotion, pieces: Iterable[Piece]) -> dict[int, tuple]:
-    """Return, by dof, the pieces that act on it, as pairs (index, True if it moves the end).
+    """Return, by link, the pieces that act on it, as pairs (index, True if it moves the end).
 
-    A piece acts on a dof if the dof moves one of its two ends, but not both.
+    A piece acts on a link if the link carries one of its two ends, but not both.
     """
     ancestors = links.driver.topology.ancestors
     out: dict[int, tuple] = {}

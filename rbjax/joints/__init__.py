@@ -3,9 +3,17 @@
 hinge, slide, ball, free                  the joints of MuJoCo's files
 screw, cylindrical, planar, universal     the other lower pairs and the Cardan joint
 node                                      a user-defined pose T(q) of k coordinates
+flexible                                  a link with n coordinates that carries frames
 """
 
+from rbjax.joints.flexible import (
+    CoordinateMotion,
+    Flexible,
+    FrameMotion,
+    LinkInertia,
+)
 from rbjax.joints.joint import (
+    Block,
     DofKind,
     DofSpec,
     Joint,
@@ -22,10 +30,15 @@ from rbjax.joints.registry import kind, kinds, register
 __all__ = [
     "HINGE",
     "SLIDE",
+    "Block",
+    "CoordinateMotion",
     "DofKind",
     "DofSpec",
+    "Flexible",
+    "FrameMotion",
     "Joint",
     "JointMotion",
+    "LinkInertia",
     "ModalInertia",
     "ModalMotion",
     "Node",

@@ -17,13 +17,13 @@ Each coordinate is a dof with S = 0 in the base frame. The frames are links with
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
 
-from rbjax.joints.joint import DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
-from rbjax.lanes import Lane, Mat3, Vec3
+from rbjax.joints.joint import Block, DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
+from rbjax.lanes import Lane, Mat3, Vec3, add, inner
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
@@ -67,6 +67,18 @@ class FrameMotion(NodeMotion):
     def inertia(self, dof: Placed) -> RigidInertia:
         return dof.inertia + self.own
 
+    def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
+        return self.own, self.own(V)
+
+    def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
+        a = Motion.zero()
+        for S, rate in zip(self.axes, block, strict=True):
+            a = a + S * rate
+        return a, ()
+
+    def project(self, f: Force, block: Block) -> tuple[Lane, Block]:
+        return 0.0, tuple(S.dot(f) for S in self.axes)
+
 
 class LinkInertia(NamedTuple):
     """The inertia of a flexible link over the twist of its base and its coordinates.
@@ -85,6 +97,31 @@ class LinkInertia(NamedTuple):
     force: Force
     forces: tuple[Lane, ...]
 
+    def bias_force(self, w: Vec3) -> Force:
+        """Compute the wrench on the base of velocities. w is the angular velocity of the base."""
+        return self.rigid.bias_force(w) + self.force
+
+    def momentum(self, V: Motion, rates: Block) -> tuple[Force, Block]:
+        """Compute I V + C q' and C.V + m q' from the twist V of the base and the rates q'."""
+        f = self.rigid(V)
+        for C, rate in zip(self.coupling, rates, strict=True):
+            f = f + C * rate
+        rows = zip(self.mass, self.coupling, strict=True)
+        return f, tuple(add(inner(row, rates), C.dot(V)) for row, C in rows)
+
+    def twice_kinetic_energy(self, V: Motion, rates: Block) -> Lane:
+        """Compute V.I V + 2 V.C q' + q'.m q'."""
+        f, p = self.momentum(V, rates)
+        return add(V.dot(f), inner(p, rates))
+
+    def inertial_forces(self, w: Vec3, a: Motion, rates: Block) -> tuple[Force, Block]:
+        """Compute the wrench on the base and the generalized forces of an acceleration.
+
+        a: classical acceleration of the base. rates: accelerations of the coordinates.
+        """
+        f, forces = self.momentum(a, rates)
+        return f + self.bias_force(w), tuple(map(add, forces, self.forces))
+
 
 class Flexible(Joint):
     """A flexible link of n coordinates. Subclasses define `name`, `coordinates`, `count`, `frames`.
@@ -92,19 +129,29 @@ class Flexible(Joint):
     Class or instance attributes:
         coordinates: n.
         count: the number of frames.
+        body_frame: the index of the frame that carries the body of the joint, the last by default.
 
-    The base frame has the axes of the body. Bodies that are attached to a frame move with it.
+    The base frame is the joint's frame in the parent, and the body of the joint moves with the
+    frame `body_frame`. Other bodies can be fixed to the other frames.
     """
 
     aligned = False
     coordinates: int
     count: int
 
+    @property
+    def body_frame(self) -> int:
+        return self.count - 1
+
     def __init__(self) -> None:
         every = range(self.coordinates)
         self.dofs = tuple(
             DofSpec(CoordinateDof(self, k), every, every, node=every, from_reference=False)
             for k in every
+        )
+        none = range(0)
+        self.frame_specs = tuple(
+            DofSpec(FrameKind(self), none, none, from_reference=False) for _ in range(self.count)
         )
 
     def frames(
@@ -126,6 +173,43 @@ class Flexible(Joint):
         return None
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class CoordinateMotion(JointMotion):
+    """The motion of the base frame at coordinate k of a flexible link: none.
+
+    Fields:
+        joint: the flexible link.
+        k: the index of the coordinate.
+        q, v: all coordinates of the link and their rates.
+        params: the parameters of the link.
+    """
+
+    joint: Flexible = field(metadata={"static": True})
+    k: int = field(metadata={"static": True})
+    q: tuple[Lane, ...]
+    v: tuple[Lane, ...]
+    params: tuple[Lane, ...]
+
+    def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
+        own = self.link_inertia(Vec3.zero())
+        if own is None:
+            return RigidInertia.zero(), Force.zero()
+        return own.rigid, own.momentum(V, self.v)[0]
+
+    def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
+        return Motion.zero(), (*block, qdd)
+
+    def project(self, f: Force, block: Block) -> tuple[Lane, Block]:
+        *rest, own = block or (0.0,) * (self.k + 1)
+        return own, tuple(rest)
+
+    def link_inertia(self, w: Vec3) -> LinkInertia | None:
+        """Return the inertia of the link at its last coordinate, and None at the others."""
+        last = self.k == self.joint.coordinates - 1
+        return self.joint.inertia(self.q, self.v, w, self.params) if last else None
+
+
 class CoordinateDof(DofKind):
     """Coordinate k of a flexible link. It does not move the base frame."""
 
@@ -136,5 +220,18 @@ class CoordinateDof(DofKind):
         return Motion.zero()
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
-        none = Vec3.zero()
-        return JointMotion(Mat3.identity(), none, Motion.zero(), none, v[self.k])
+        none, params = Vec3.zero(), tuple(dof.params[: len(self.joint.defaults)])
+        at = Mat3.identity(), none, Motion.zero(), none, v[self.k]
+        return CoordinateMotion(*at, self.joint, self.k, tuple(q), tuple(v), params)
+
+
+class FrameKind(DofKind):
+    """A frame of a flexible link, which has no coordinate. `Flexible.frames` computes its motion."""
+
+    constant_axis = False
+
+    def __init__(self, joint: Flexible):
+        self.joint = joint
+
+    def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
+        raise NotImplementedError("Flexible.frames computes the motions of all frames of a link")

@@ -24,6 +24,10 @@ from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
+#: one lane for each coordinate of a flexible link that is not eliminated yet; () at other links
+Block = tuple[Lane, ...]
+
+
 class Placed(Protocol):
     """The constants of a dof that determine its motion."""
 
@@ -72,6 +76,37 @@ class JointMotion:
         w is the angular velocity of the link in its own axes.
         """
         return self.modal.velocity_forces(self.modal_slope, w, self.qd)
+
+    def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
+        """Compute the acceleration of the frame relative to its parent from joint accelerations.
+
+        qdd: the acceleration of the dof.
+        block: accelerations of the coordinates of a flexible link, from its first to its last dof.
+            Return the block for the children.
+        """
+        return self.S * qdd, ()
+
+    def project(self, f: Force, block: Block) -> tuple[Lane, Block]:
+        """Compute the generalized force of the dof from the force f on the link.
+
+        block: generalized forces of the coordinates of a flexible link, from its frames. Return the
+            block for the parent.
+        """
+        return self.S.dot(f), ()
+
+    def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
+        """Return the inertia that the joint adds to the bodies of the link, and its momentum.
+
+        V is the twist of the link. Both are in its axes, at its origin.
+        """
+        return self.modal.rigid, self.modal.rigid(V) + self.modal.coupling * self.qd
+
+    def link_inertia(self, w: Vec3) -> Any:
+        """Return the `LinkInertia` of a flexible link at its last coordinate, otherwise None.
+
+        w is the angular velocity of its base frame in its own axes.
+        """
+        return None
 
     def transform(self, dof: Placed) -> Transform:
         """Return the pose of the frame in its parent."""

@@ -157,7 +157,7 @@ def _cell(x: Lane) -> Any:
 
 def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     given = SimpleNamespace(**leaves)
-    links, n = top.dofs, top.nv
+    links, n = top.links, len(top.links)
     weld_R, weld_p, body_R = _welds(top, given, xp)
 
     # axes of each link in its body, before (own) and after (moved) the motion of the joint
@@ -166,7 +166,9 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     moved_R = _link_axes(top, given.axis, given.params, xp)
     starts = np.array([link.spec.turns_body for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
-    anchor = given.placement[joint]
+    # bodies at frames of a flexible link, other than the body of its joint, have no anchor
+    anchored = np.array([_has_anchor(top, i) for i in range(n)], bool)[:, None]
+    anchor = xp.where(anchored, given.placement[joint], 0.0)
 
     # for the first link of each body: the pose of the body in the carrier of its parent body
     body = np.array([link.body for link in links], int)
@@ -224,7 +226,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
             Vec3(*(cast(h[:, i]) for i in range(3))),
             Sym3(*(cast(J[:, i, j]) for i, j in _SYM)),
         ),
-        armature=cast(given.armature),
+        armature=cast(_with_frames(given.armature, top, xp)),
         reference=cast(reference),
         params=tuple(cast(params[:, k]) for k in range(params.shape[1])),
     )
@@ -233,6 +235,17 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
 
 
 _SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def _has_anchor(top: Topology, i: int) -> bool:
+    """Return True if a link is a dof, or the frame that carries the body of a flexible joint."""
+    j = top.links[i].joint
+    return i < top.nv or i == top.last_links[top.joint_bodies[j]]
+
+
+def _with_frames(x, top: Topology, xp):
+    """Append zeros for the frames of flexible links to an array over the dofs."""
+    return xp.concatenate([x, np.zeros(len(top.frames))]) if top.frames else x
 
 
 def _welds(top: Topology, bodies, xp):
@@ -254,21 +267,21 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _joint_params(top: Topology, given, xp):
-    """Return the parameters of each link's joint (nv, m), padded with zeros. m is the largest
+    """Return the parameters of each link's joint (links, m), padded with zeros. m is the largest
     number of parameters of a joint."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last entry is the padding
     rows = [
         [starts[link.joint] + k if k < counts[link.joint] else -1 for k in range(most)]
-        for link in top.dofs
+        for link in top.links
     ]
     return out[np.array(rows, int).reshape(len(rows), most)]
 
 
 def _link_axes(top: Topology, axis, given, xp):
-    """Compute the orientation (nv, 3, 3) of each link in its body, with z along the dof's axis."""
-    links, starts = top.dofs, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
+    """Compute the orientation (links, 3, 3) of each link in its body, with z along the dof's axis."""
+    links, starts = top.links, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
     shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
     align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]
     of_body = np.array([not top.joints[link.joint].aligned for link in links], bool)

@@ -5,6 +5,9 @@ A *dof* is one velocity coordinate: a hinge has one, a ball three (`rbjax.joints
 Recursions run over the links. Bodies without joints are merged into the last link of the body that
 carries them.
 
+The frames of a flexible link (`rbjax.joints.Flexible`) are links without a dof. Their indices follow
+those of the dofs.
+
 A *limb* is the subtree of a joint whose parent link is the world or has several children. Limbs
 with equal trees of joint kinds form a *group* and share one program. All links outside groups are
 the *trunk*. Groups are chosen greedily: the group that saves most links is chosen first.
@@ -19,7 +22,7 @@ from functools import cached_property, lru_cache
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from rbjax.joints import DofKind, DofSpec, Joint, kind
+from rbjax.joints import DofKind, DofSpec, Flexible, Joint, kind
 
 WORLD = -1
 
@@ -80,6 +83,8 @@ class Topology:
     site_names: tuple[str, ...] = ()
     site_bodies: tuple[int, ...] = ()
     keyframe_names: tuple[str, ...] = ()
+    #: (body, joint, frame) for each body that is fixed to a frame of a flexible link
+    frame_bodies: tuple[tuple[int, int, int], ...] = ()
     #: the joint kinds, compared by identity: registering a name again gives another program
     joints: tuple[Joint, ...] = ()
 
@@ -135,6 +140,8 @@ class Topology:
             for n, spec in enumerate(joint.dofs):
                 start = first and n == 0
                 parent = len(out) - 1
+                if n == 0 and not start:
+                    parent = self._link_after(j - 1)
                 if start:
                     carrier = self._carrier(self.body_parents[body])
                     parent = WORLD if carrier == WORLD else last[carrier]
@@ -143,22 +150,60 @@ class Topology:
         return tuple(out)
 
     @cached_property
+    def links(self) -> tuple[Dof, ...]:
+        """The dofs, and then the frames of flexible links."""
+        return (*self.dofs, *self.frames)
+
+    @cached_property
+    def frames(self) -> tuple[Dof, ...]:
+        """The frames of flexible links, joint by joint, as links without a dof."""
+        out: list[Dof] = []
+        for j, joint in enumerate(self.joints):
+            if isinstance(joint, Flexible):
+                q, v = self.joint_q[j], self.joint_v[j]
+                for spec in joint.frame_specs:
+                    parent, own = v + joint.nv - 1, self.nv + len(out)
+                    at = range(q, q + joint.nq), range(v, v + joint.nv), range(own, own + 1)
+                    out.append(Dof(self.joint_bodies[j], j, parent, False, spec, *at))
+        return tuple(out)
+
+    @cached_property
+    def frame_starts(self) -> dict[int, int]:
+        """The index of the first frame of each joint with frames."""
+        out: dict[int, int] = {}
+        for i, frame in enumerate(self.frames):
+            out.setdefault(frame.joint, self.nv + i)
+        return out
+
+    @cached_property
+    def order(self) -> tuple[int, ...]:
+        """The links, parents before children."""
+        if not self.frames:
+            return tuple(range(self.nv))
+        return tuple(sorted(range(len(self.links)), key=lambda i: self.ancestors[i]))
+
+    @cached_property
     def last_links(self) -> dict[int, int]:
-        """The last link of each body that has joints."""
-        return {
-            body: self.joint_v[j] + self.joints[j].nv - 1
-            for j, body in enumerate(self.joint_bodies)
-        }
+        """The link that carries each body with joints, and each body that is fixed to a frame."""
+        out = {body: self._link_after(j) for j, body in enumerate(self.joint_bodies)}
+        return out | {body: self.frame_starts[j] + k for body, j, k in self.frame_bodies}
+
+    def _link_after(self, j: int) -> int:
+        """Return the link that joint j moves: its last dof, or the frame of a flexible link."""
+        joint = self.joints[j]
+        if isinstance(joint, Flexible):
+            return self.frame_starts[j] + joint.body_frame
+        return self.joint_v[j] + joint.nv - 1
 
     def _carrier(self, body: int) -> int:
-        """Return the body, if it has joints, else its nearest ancestor with joints, or WORLD."""
+        """Return the body, if it has a link, else its nearest ancestor with a link, or WORLD."""
         while body != WORLD and body not in self.last_links:
             body = self.body_parents[body]
         return body
 
     @cached_property
     def carriers(self) -> tuple[int, ...]:
-        """The nearest body with joints at or above each body in the tree, or WORLD."""
+        """The nearest body with a link at or above each body in the tree, or WORLD."""
         return tuple(self._carrier(b) for b in range(self.nb))
 
     @cached_property
@@ -178,25 +223,29 @@ class Topology:
     @cached_property
     def parents(self) -> tuple[int, ...]:
         """The parent link of each link, or WORLD."""
-        return tuple(link.parent for link in self.dofs)
+        return tuple(link.parent for link in self.links)
 
     @cached_property
     def ancestors(self) -> tuple[tuple[int, ...], ...]:
         """The path of links from the root to each link."""
-        out: list[tuple[int, ...]] = []
-        for i, parent in enumerate(self.parents):
-            out.append((*(out[parent] if parent != WORLD else ()), i))
-        return tuple(out)
+        out: dict[int, tuple[int, ...]] = {WORLD: ()}
+
+        def path(i: int) -> tuple[int, ...]:
+            if i not in out:
+                out[i] = (*path(self.parents[i]), i)
+            return out[i]
+
+        return tuple(path(i) for i in range(len(self.parents)))
 
     @cached_property
     def flexible(self) -> bool:
-        """True if a link has a modal inertia."""
-        return any(dof.kind.modal for dof in self.dofs)
+        """True if a link is flexible or has a modal inertia."""
+        return bool(self.frames) or any(dof.kind.modal for dof in self.dofs)
 
     @cached_property
     def constant_axes(self) -> bool:
         """True if the axis of each dof is constant in the frame of the dof."""
-        return all(dof.kind.constant_axis for dof in self.dofs)
+        return all(dof.kind.constant_axis for dof in self.links)
 
 
 def _moved(some: range, start: int) -> range:

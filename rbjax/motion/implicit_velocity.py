@@ -99,5 +99,6 @@ def floating(top: Topology) -> set[int]:
 
 def coupled(top: Topology, dofs: Container[int]) -> list[tuple[int, int]]:
     """List the pairs of dofs that the tree couples."""
-    pairs = [(i, j) for i, path in enumerate(top.ancestors) for j in path if i in dofs]
+    paths = enumerate(top.ancestors[: top.nv])
+    pairs = [(i, j) for i, path in paths for j in path if i in dofs and j < top.nv]
     return [*pairs, *((j, i) for i, j in pairs if i != j)]

@@ -41,7 +41,8 @@ from rbjax.constraints.equations.model_rows import (
     wrenches_by_link,
 )
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.aba import Factor, aba, accelerated, eliminated, solve
+from rbjax.dynamics.algorithms.aba import aba, accelerated, eliminated, solve
+from rbjax.dynamics.algorithms.factors import Factor
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
@@ -211,7 +212,7 @@ def factor_delassus(
     damping: replaces the regularization parameters and sets one refinement; None uses the values
         of the dtype.
     """
-    few = d.listed and len(rows) <= ROWS_ON_LANES
+    few = d.listed and len(rows) <= ROWS_ON_LANES and not d.topology.frames
     return (DelassusOnLanes if few else DelassusMatrix)(d, factors, context, rows, damping)
 
 

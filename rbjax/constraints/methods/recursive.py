@@ -44,7 +44,8 @@ from rbjax.constraints.equations.constrained_motion import (
 from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.method import Method
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
+from rbjax.dynamics.algorithms.aba import eliminate, factorize, rigid_mass, to_parent
+from rbjax.dynamics.algorithms.factors import Factor
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea, transmitted_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.context import Context
@@ -137,7 +138,7 @@ def cluster_problem(
     d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
     """Set up the equations by clusters, or by `range_space_problem` if the tree is not unrolled."""
-    if not d.listed:
+    if not d.listed or d.topology.frames:
         return range_space_problem(d, context, tau, f_ext)
     joints, gravity = context.links.joints, d.prepared.gravity
 
@@ -149,8 +150,8 @@ def cluster_problem(
             return lambda f, c: delassus.solve(force if f is None else f, c)
         moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, *_ in moved], rows, found, tau)
-        own = {i: -f for i, (_, f, _) in enumerate(moved)}
-        modes = [mode for *_, mode in moved]
+        own = {i: -f for i, (_, f, *_) in enumerate(moved)}
+        modes = [mode for _, _, mode, _ in moved]
         left = tau if all(map(is_zero, modes)) else tau - pack(modes, tau)
         return lambda f, c: tree.solve(left, own, c) if f is None else tree.solve(f, {}, c)
 
@@ -200,7 +201,7 @@ class ClusterTree:
             link, joint, X = constants[i], joints[i], poses[i]
             I_children = self._with_clusters(i, carried.pop(i, ArticulatedInertia.zero()))
             I_A = joint.inertia(link).articulated() + I_children
-            I_a, factor = eliminate(link, joint, X, I_A)
+            I_a, factor, _ = eliminate(link, joint, X, I_A)
             message, parent = None, self._parents[i]
             if parent != WORLD:
                 mass = rigid_mass(link, joint, I_children)

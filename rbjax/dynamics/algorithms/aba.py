@@ -9,6 +9,9 @@ C and m are the coupling and the mass of a mode, zero for a rigid link (joints/m
               to the parent: X^T (I_A - U U^T / D),  X^T (p_A + I_a c + U u / D)
     outward   a' = X(a_p) + c;  qdd = (u - U.a') / D;  a = a' + S qdd
 
+The coordinates of a flexible link are eliminated in the same way, after the messages of its frames
+have been summed (factors.py).
+
 The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) = tau gives
 
     da = M^-1 (dtau - dID(q, v, a)),
@@ -18,6 +21,7 @@ one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,8 +29,24 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
+from rbjax.dynamics.algorithms.factors import (
+    AnyFactor,
+    Column,
+    Factor,
+    FrameFactor,
+    add_columns,
+    columns_of_frame,
+    eliminate_coordinate,
+)
 from rbjax.dynamics.algorithms.kinematics import velocity_bias
-from rbjax.dynamics.algorithms.rnea import LinkForces, per_link, rnea, wrenches_to_links
+from rbjax.dynamics.algorithms.rnea import (
+    NO_FORCE,
+    LinkForces,
+    add_blocks,
+    per_link,
+    rnea,
+    wrenches_to_links,
+)
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import (
@@ -35,8 +55,8 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_implicit_jvp,
 )
 from rbjax.errors import ModelError
-from rbjax.joints import JointMotion
-from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, mul, sub
+from rbjax.joints import Block, CoordinateMotion, FrameMotion, JointMotion
+from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, sub
 from rbjax.model import LinkConstants, Model, with_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
@@ -49,25 +69,29 @@ class VelocityStep(NamedTuple):
     c: Motion
 
 
-class Factor(NamedTuple):
-    """The factors of a joint that ABA has eliminated, which give qdd = (u - U.a) / D.
+class Message(NamedTuple):
+    """The message of a link to its parent: articulated inertia, bias force, and the columns and
+    generalized bias forces of the coordinates of a flexible link."""
 
-    X: pose of the link in its parent.
-    S: axis of the joint in link axes.
-    U: I_A S, with I_A the articulated inertia.
-    inverse_D: 1 / D, with D = S.U + armature.
-    """
-
-    X: Transform
-    S: Motion
-    U: Force
-    inverse_D: Lane
+    I_A: ArticulatedInertia
+    p_A: Force
+    columns: Sequence[Column]
+    forces: Block
 
 
 def eliminate(
-    link: LinkConstants, joint: JointMotion, X: Transform, I_A: ArticulatedInertia
-) -> tuple[ArticulatedInertia, Factor]:
-    """Eliminate a joint. Return the articulated inertia that remains across it, and its factor."""
+    link: LinkConstants,
+    joint: JointMotion,
+    X: Transform,
+    I_A: ArticulatedInertia,
+    block: Sequence[Column] = (),
+) -> tuple[ArticulatedInertia, AnyFactor, Sequence[Column]]:
+    """Eliminate a dof. Return the articulated inertia that remains across it, its factor, and the
+    columns of the coordinates of a flexible link that remain."""
+    if isinstance(joint, FrameMotion):
+        return I_A, FrameFactor(X, joint.axes), columns_of_frame(joint, X, I_A)
+    if isinstance(joint, CoordinateMotion):
+        return eliminate_coordinate(link.armature, X, I_A, block, joint.joint)
     S, modal = joint.S, joint.modal
     U = I_A(S) + modal.coupling
     more = add(link.armature, add(modal.mass, S.dot(modal.coupling)))
@@ -78,11 +102,11 @@ def eliminate(
             "mass and inertia (bodies.mass, bodies.inertia), or the joint armature"
         )
     inverse_D = 1.0 / D
-    return I_A.without(U, inverse_D, S, more), Factor(X, S, U, inverse_D)
+    return I_A.without(U, inverse_D, S, more), Factor(X, S, U, inverse_D), ()
 
 
 def to_parent(
-    X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
+    X: Transform, I_a: ArticulatedInertia, factor: AnyFactor, mass: Lane | None
 ) -> ArticulatedInertia:
     """Compute X^T I_a X, the inertia in the axes of the parent, about its origin.
 
@@ -101,6 +125,8 @@ def rigid_mass(
     link: LinkConstants, joint: JointMotion, I_children: ArticulatedInertia
 ) -> Lane | None:
     """Return the mass of a link that has a hinge and no children, or None for any other link."""
+    if isinstance(joint, (FrameMotion, CoordinateMotion)):
+        return None
     tip = all(is_zero(x) for x in jax.tree.leaves((I_children, joint.S.lin)))
     return joint.inertia(link).m if tip else None
 
@@ -119,24 +145,28 @@ def aba(
     def inward(x, message):
         (link, joint, tau, push), motion = x
         inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(motion.w)
-        p_A = inertia.bias_force(motion.w) + f - push + message[1]
-        I_a, factor = eliminate(link, joint, motion.X, inertia.articulated() + message[0])
-        u = sub(sub(tau, joint.S.dot(p_A)), modal)
-        p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
-        mass = rigid_mass(link, joint, message[0])
-        return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
+        p_A = inertia.bias_force(motion.w) + f - push + message.p_A
+        I_A, columns, forces = inertia.articulated() + message.I_A, message.columns, message.forces
+        own = joint.link_inertia(motion.w)
+        if own is not None:
+            I_A, p_A = I_A + own.rigid.articulated(), p_A + own.bias_force(motion.w)
+            columns, forces = add_columns(own, columns), add_blocks(own.forces, forces)
+        I_a, factor, columns = eliminate(link, joint, motion.X, I_A, columns)
+        u, p_a, forces = factor.inward(sub(tau, modal), p_A, forces, I_a(motion.c))
+        mass = rigid_mass(link, joint, message.I_A)
+        I_parent = to_parent(motion.X, I_a, factor, mass)
+        return Message(I_parent, motion.X.T(p_a), columns, forces), (factor, u, motion.c)
 
-    zero = (ArticulatedInertia.zero(), Force.zero())
+    zero = Message(ArticulatedInertia.zero(), Force.zero(), (), ())
     xs = d.zip(d.constants, joints, tau, per_link(d, f_ext))
     ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
-    def accelerate(x, a_parent):
+    def accelerate(x, parent):
         factor, u, c = x
-        a = factor.X(a_parent) + c
-        qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
-        return a + factor.S * qdd, (qdd, factor)
+        a, qdd, block = factor.outward(u, factor.X(parent[0]) + c, parent[1])
+        return (a, block), (qdd, factor)
 
-    qdd, factors = d.unzip(d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys), 2)
+    qdd, factors = d.unzip(d.outward(accelerate, (Motion(Vec3.zero(), -gravity), ()), ys), 2)
     return qdd, factors
 
 
@@ -162,19 +192,23 @@ def factorize(
         parts of the factors without them.
     """
 
-    def inward(x, I_children):
+    def inward(x, children):
         link, joint, more, own, *known = x
         link = replace(link, armature=add(link.armature, more))
         X = known[0] if known else joint.transform(link)
-        others = I_children + own
-        I_a, factor = eliminate(link, joint, X, joint.inertia(link).articulated() + others)
-        return to_parent(X, I_a, factor, rigid_mass(link, joint, others)), factor
+        others, columns = children[0] + own, children[1]
+        I_A, flexible = joint.inertia(link).articulated() + others, joint.link_inertia(Vec3.zero())
+        if flexible is not None:
+            I_A, columns = I_A + flexible.rigid.articulated(), add_columns(flexible, columns)
+        I_a, factor, columns = eliminate(link, joint, X, I_A, columns)
+        I_parent = to_parent(X, I_a, factor, rigid_mass(link, joint, others))
+        return (I_parent, columns), factor
 
     zero = ArticulatedInertia.zero()
     extra = d.scattered({}, 0.0) if extra is None else extra
     inertia = d.scattered({}, zero) if inertia is None else inertia
     known = () if poses is None else (poses,)
-    return d.inward(inward, zero, d.zip(d.constants, joints, extra, inertia, *known))
+    return d.inward(inward, (zero, ()), d.zip(d.constants, joints, extra, inertia, *known))
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
@@ -194,12 +228,12 @@ def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
     u is the joint force that remains after the elimination of the subtree of the link.
     """
 
-    def inward(x, p_A):
+    def inward(x, children):
         factor, tau = x
-        u = sub(tau, factor.S.dot(p_A))
-        return factor.X.T(p_A + factor.U * mul(u, factor.inverse_D)), (factor, u)
+        u, p_a, block = factor.inward(tau, *children, Force.zero())
+        return (factor.X.T(p_a), block), (factor, u)
 
-    return d.inward(inward, Force.zero(), d.zip(factors, tau))
+    return d.inward(inward, NO_FORCE, d.zip(factors, tau))
 
 
 def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
@@ -208,14 +242,12 @@ def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
     twists: whether to return the spatial accelerations of the links too, in their own axes.
     """
 
-    def outward(x, a_parent):
+    def outward(x, parent):
         factor, u = x
-        a = factor.X(a_parent)
-        qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
-        a = a + factor.S * qdd
-        return a, (qdd, a) if twists else qdd
+        a, qdd, block = factor.outward(u, factor.X(parent[0]), parent[1])
+        return (a, block), (qdd, a) if twists else qdd
 
-    return d.outward(outward, Motion.zero(), left)
+    return d.outward(outward, (Motion.zero(), ()), left)
 
 
 def name_factors(values: Any) -> Any:
@@ -228,11 +260,13 @@ def name_factors(values: Any) -> Any:
 def named(factors: Any) -> Any:
     """Name U and 1 / D of the factors of all links (`name_factors`)."""
 
-    def one(f: Factor) -> Factor:
+    def one(f: AnyFactor) -> AnyFactor:
+        if isinstance(f, FrameFactor):
+            return f
         U, inverse_D = name_factors((f.U, f.inverse_D))
         return f._replace(U=U, inverse_D=inverse_D)
 
-    return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, Factor))
+    return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, AnyFactor))
 
 
 def acceleration(

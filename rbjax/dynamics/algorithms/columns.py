@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import compile_threads, map_threads
-from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
+from rbjax.dynamics.algorithms.aba import aba, factorize, solve
 from rbjax.dynamics.algorithms.composites import inverse_pairs, link_axes, operands, tree_poses
+from rbjax.dynamics.algorithms.factors import Factor
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.pairs import pair_column, which_moves
 from rbjax.dynamics.drivers.unrolled import Unrolled

@@ -2,6 +2,8 @@
 
 inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
          F moves on to the root, and M_ji = S_j . F at each ancestor j on its path.
+
+The coordinates of a flexible link have the columns C_j, m_ij of all its frames (factors.py).
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ from rbjax.dynamics.algorithms.composites import (
     subtree_sums,
     tree_poses,
 )
+from rbjax.dynamics.algorithms.factors import Column, add_columns, columns_of_frame
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.pairs import packed, pair_matrix, with_armature
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import Lane, add, fusion_barrier
+from rbjax.joints import CoordinateMotion, FrameMotion
+from rbjax.lanes import Lane, Vec3, add, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, RigidInertia
 
@@ -35,6 +39,9 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
 def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     """Compute the mass matrix M as rows of lanes. Each force F = I_c S is propagated to the root by
     itself."""
+
+    if d.topology.frames:
+        return flexible_mass_matrix_rows(d, joints)
 
     def step(x, children):
         X, I_c, F = composite(x, children)
@@ -55,6 +62,49 @@ def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
             j = d.topology.parents[j]
             X = ys[j][0]
             M[i][j] = M[j][i] = axes[j].dot(F)
+    return M
+
+
+def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
+    """Compute `mass_matrix_rows` of a tree with flexible links.
+
+    Each link starts the columns of its axes, which end at their dofs. A column has the momentum F
+    of the subtree for a unit rate of its dof, and moves on to the root as such.
+    """
+
+    def step(x, children):
+        link, joint = x
+        X, I_c, columns = joint.transform(link), joint.inertia(link) + children[0], children[1]
+        if isinstance(joint, FrameMotion):
+            columns = columns_of_frame(joint, X, I_c)
+            return (X.rigid_to_parent(I_c), columns), (X, columns)
+        own = joint.link_inertia(Vec3.zero())
+        if own is not None:
+            I_c, columns = I_c + own.rigid, add_columns(own, columns)
+        if isinstance(joint, CoordinateMotion):
+            *rest, (F, row) = columns
+        else:
+            F = I_c(joint.S) + joint.modal.coupling
+            rest, row = [], (add(joint.S.dot(F), joint.modal.momentum(joint.S, 1.0)[1]),)
+        return (X.rigid_to_parent(I_c), tuple(rest)), (X, Column(F, row))
+
+    ys = d.whole(d.inward(step, (RigidInertia.zero(), ()), d.zip(d.constants, joints)))
+    motions, top = d.whole(joints), d.topology
+    M: list[list[Lane]] = [[0.0] * top.nv for _ in range(top.nv)]
+    for i, dof in enumerate(top.dofs):
+        X, (F, row) = ys[i]
+        first = i + 1 - len(row)
+        for j, m in enumerate(row, first):
+            M[i][j] = M[j][i] = m
+        M[i][i] = add(M[i][i], d.whole(d.constants)[i].armature)
+        for j in reversed(top.ancestors[i][:-1]):
+            F = fusion_barrier(X.T(F))
+            X = ys[j][0]
+            if j >= top.nv:
+                for k, S in zip(top.links[j].v, motions[j].axes, strict=True):
+                    M[i][k] = M[k][i] = S.dot(F)
+            elif not isinstance(motions[j], CoordinateMotion):
+                M[i][j] = M[j][i] = motions[j].S.dot(F)
     return M
 
 

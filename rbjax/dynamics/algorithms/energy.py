@@ -66,10 +66,13 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         coupled, along = joint.modal.momentum(V, joint.qd)
         h = joint.inertia(link)(V) + coupled
         twice = add(V.dot(h), mul(link.armature, mul(joint.qd, joint.qd)))
+        own = joint.link_inertia(Vec3.zero())
+        if own is not None:
+            twice = add(twice, own.twice_kinetic_energy(V, joint.v))
         return (), add(twice, mul(along, joint.qd))
 
     twice = d.inward(step, (), d.zip(d.constants, joints, twists))
-    return d.pack(twice, v).sum() / 2
+    return d.columns(twice, jnp.zeros(len(d.topology.links), v.dtype)).sum() / 2
 
 
 @algorithm("q")
@@ -166,17 +169,18 @@ def _center(model: Model, q: jax.Array, com: jax.Array, mass: jax.Array) -> jax.
 def _of_modes(
     model: Model, q: jax.Array, v: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Sum mass, first moment (3,) and momentum (6,) of all modal inertias, at the origin."""
+    """Sum mass, first moment (3,) and momentum (6,) of the inertias of joints, at the origin."""
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
 
     def step(x, _):
         joint, pose, V = x
-        modal, inertia = joint.modal, pose.rigid_to_parent(joint.modal.rigid)
-        return (), (inertia.m, inertia.h, pose.T(modal.rigid(V) + modal.coupling * joint.qd))
+        inertia, momentum = joint.own_momentum(V)
+        inertia = pose.rigid_to_parent(inertia)
+        return (), (inertia.m, inertia.h, pose.T(momentum))
 
     found = d.outward(step, (), d.zip(joints, *sweep(d, joints, POSE, TWIST)))
-    mass, h, momentum = d.columns(found, jnp.zeros(model.nv, q.dtype))
+    mass, h, momentum = d.columns(found, jnp.zeros(len(d.topology.links), q.dtype))
     return mass.sum(), jnp.stack([*h], -1).sum(0), jnp.stack([*momentum], -1).sum(0)
 
 

@@ -64,7 +64,7 @@ def ancestor_mask(top: Topology, link: int) -> np.ndarray:
     """Return the mask (nv,) of the dofs that move a link."""
     mask = np.zeros(top.nv, bool)
     if link != WORLD:
-        mask[list(top.ancestors[link])] = True
+        mask[[i for i in top.ancestors[link] if i < top.nv]] = True
     return mask
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.joints import JointMotion
+from rbjax.joints import Block, CoordinateMotion, FrameMotion, JointMotion
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion, Transform
@@ -59,10 +59,16 @@ def velocity_bias(joint: JointMotion, X: Transform, w_parent: Vec3) -> tuple[Vec
     return w, Motion(turned.cross(joint.rate), centripetal + coriolis) + joint.bias
 
 
-def _acceleration(hop: Hop, parent: tuple[Vec3, Motion]) -> tuple[Vec3, Motion]:
-    w_parent, a_parent = parent
+#: angular velocity and acceleration of a link, and the accelerations of the coordinates of the
+#: flexible link to which it belongs
+Accelerated = tuple[Vec3, Motion, Block]
+
+
+def _acceleration(hop: Hop, parent: Accelerated) -> Accelerated:
+    w_parent, a_parent, block = parent
     w, bias = velocity_bias(hop.joint, hop.X, w_parent)
-    return w, hop.X(a_parent) + bias + hop.joint.S * hop.qdd
+    relative, block = hop.joint.accelerate(hop.qdd, block)
+    return w, hop.X(a_parent) + bias + relative, block
 
 
 #: the rotation of a link in the world
@@ -71,14 +77,14 @@ ROTATION = Quantity(Mat3.identity(), lambda hop, R: R @ hop.X.R)
 POSE = Quantity(Transform(Mat3.identity(), Vec3.zero()), lambda hop, pose: pose.then(hop.X))
 #: the twist of a link in its own axes, at its origin
 TWIST = Quantity(Motion.zero(), lambda hop, V: hop.X(V) + hop.joint.twist)
-#: the angular velocity of a link, and a `Motion` of its angular acceleration and the classical
-#: acceleration of its origin, in its own axes
-ACCELERATION = Quantity((Vec3.zero(), Motion.zero()), _acceleration)
+#: the angular velocity of a link, a `Motion` of its angular acceleration and the classical
+#: acceleration of its origin, in its own axes, and the block of a flexible link
+ACCELERATION = Quantity((Vec3.zero(), Motion.zero(), ()), _acceleration)
 
 
 def accelerated_base(a: Motion) -> Quantity:
     """Return the quantity `ACCELERATION` for a base with acceleration a, or -g for gravity g."""
-    return ACCELERATION._replace(root=(Vec3.zero(), a))
+    return ACCELERATION._replace(root=(Vec3.zero(), a, ()))
 
 
 def sweep(d: Driver, joints: Any, *quantities: Quantity, a: Any = None) -> tuple[Any, ...]:
@@ -239,19 +245,29 @@ class LinkMotion:
         for i in self.driver.topology.ancestors[link]:
             if i in found:
                 continue
-            parent = found[self.driver.topology.dofs[i].parent]
+            parent = found[self.driver.topology.parents[i]]
             joint, constants = self._links[i]
             hop = Hop(joint.transform(constants), joint)
             if quantity is ACCELERATION and self._a is not None:
-                hop = hop._replace(qdd=self._a[i])
+                hop = hop._replace(qdd=self._a[i] if i < len(self._a) else 0.0)
             known = (parent, joint, constants)
             found[i] = fusion_barrier(quantity.step(hop, parent), known=known)
         return found[link]
 
-    def to_parent(self, link: int) -> tuple[Transform, Motion]:
-        """Return the pose of a link in its parent, and the axis S of its joint."""
+    def to_parent(self, link: int) -> tuple[Transform, JointMotion]:
+        """Return the pose of a link in its parent, and the motion of its joint."""
         joint, constants = self._links[link]
-        return joint.transform(constants), joint.S
+        return joint.transform(constants), joint
+
+    def axes(self, link: int) -> list[tuple[int, Motion]]:
+        """Return the dofs that move a link relative to its parent, with their axes in its axes."""
+        top = self.driver.topology
+        if not top.frames:
+            return [(link, self.axis(link))]
+        joint = self._links[link][0]
+        if isinstance(joint, FrameMotion):
+            return list(zip(top.links[link].v, joint.axes, strict=True))
+        return [] if isinstance(joint, CoordinateMotion) else [(link, joint.S)]
 
     def axis(self, link: int) -> Motion:
         """Return the axis S of a link in its own axes."""

@@ -4,6 +4,8 @@
               f = I a + [w x J w; w x (w x h)] - f_ext            (and a mode's: joints/modal.py)
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
 
+A frame of a flexible link sends the generalized forces S_j.f of the coordinates too (the block).
+
 Gravity is an acceleration of the base, a_0 = -g. An external force f_ext is in the axes of its link
 at its origin. The generalized forces of f_ext are sum J_i^T f_i (Featherstone, 5.3).
 """
@@ -20,6 +22,7 @@ import numpy as np
 from rbjax.dynamics.algorithms.kinematics import (
     ACCELERATION,
     ROTATION,
+    Accelerated,
     Hop,
     accelerated_base,
     over_links,
@@ -27,6 +30,7 @@ from rbjax.dynamics.algorithms.kinematics import (
 )
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
+from rbjax.joints import Block
 from rbjax.lanes import Mat3, Vec3, add, mul
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
@@ -40,6 +44,15 @@ def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
     if isinstance(f_ext, Force):
         return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
     return d.scattered(f_ext or {}, Force.zero())
+
+
+#: no force and no block: the sum of the messages of no children
+NO_FORCE: tuple[Force, Block] = (Force.zero(), ())
+
+
+def add_blocks(a: Block, b: Block) -> Block:
+    """Add two blocks. An empty block counts as zeros."""
+    return tuple(map(add, a, b)) if a and b else a or b
 
 
 def add_forces(a: LinkForces, b: LinkForces) -> LinkForces:
@@ -64,10 +77,11 @@ def generalized_of_links(d: Driver, joints: Any, f_ext: LinkForces) -> Any:
 
     def inward(x, children):
         link, joint, f_ext = x
-        f = f_ext + children
-        return joint.transform(link).T(f), joint.S.dot(f)
+        f = f_ext + children[0]
+        tau, block = joint.project(f, children[1])
+        return (joint.transform(link).T(f), block), tau
 
-    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, per_link(d, f_ext)))
+    return d.inward(inward, NO_FORCE, d.zip(d.constants, joints, per_link(d, f_ext)))
 
 
 def wrenches_to_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
@@ -94,18 +108,23 @@ def _to_link(R: Mat3, arm: Vec3, wrench: Force) -> Force:
     return Force(R.T @ wrench.ang + arm.cross(force), force)
 
 
-def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
+def newton_euler(x: Any, parent: Accelerated) -> tuple[Accelerated, Any]:
     """Run one outward step of RNEA.
 
-    Return the pose of a link in its parent, I a + bias force - f_ext, and the modal joint force.
+    Return the pose of a link in its parent, I a + bias force - f_ext, the modal joint force, and
+    the inertial forces of the coordinates of a flexible link.
     """
     link, joint, qdd, f_ext = x
     X = joint.transform(link)
-    w, a = ACCELERATION.step(Hop(X, joint, qdd), parent)
+    w, a, block = here = ACCELERATION.step(Hop(X, joint, qdd), parent)
     inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(w)
     coupled, along = joint.modal.momentum(a, qdd)
     f = inertia(a) + inertia.bias_force(w) + (coupled + f) - f_ext
-    return (w, a), (X, f, add(along, modal))
+    own = joint.link_inertia(w)
+    if own is None:
+        return here, (X, f, add(along, modal), ())
+    wrench, forces = own.inertial_forces(w, a, block)
+    return here, (X, f + wrench, 0.0, forces)
 
 
 def rnea(
@@ -114,24 +133,25 @@ def rnea(
     """Compute the generalized forces from the joint accelerations, both per link."""
 
     def inward(x, children):
-        (link, joint, qdd, _), (X, f, modal) = x
-        f = f + children
-        return X.T(f), add(add(joint.S.dot(f), mul(link.armature, qdd)), modal)
+        (link, joint, qdd, _), (X, f, modal, forces) = x
+        f = f + children[0]
+        tau, block = joint.project(f, add_blocks(forces, children[1]))
+        return (X.T(f), block), add(add(tau, mul(link.armature, qdd)), modal)
 
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
-    return d.out_and_in(newton_euler, _root(gravity), inward, Force.zero(), xs)
+    return d.out_and_in(newton_euler, _root(gravity), inward, NO_FORCE, xs)
 
 
 def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Compute the pose of each link in its parent, I a + bias force - f_ext, and the joint force of
-    its mode, per link."""
+    """Compute the pose of each link in its parent, I a + bias force - f_ext, and the inertial forces
+    of its mode and of its coordinates, per link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 
 
-def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
+def _root(gravity: Vec3) -> Accelerated:
     return accelerated_base(Motion(Vec3.zero(), -gravity)).root
 
 

@@ -50,7 +50,8 @@ def driver(model: Model, dtype: Any) -> Driver:
     name = model.driver
     if name == "auto":
         name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
-    if not model.nv or (name == "limbs" and not partition(model.topology).groups):
+    top = model.topology
+    if not model.nv or top.frames or (name == "limbs" and not partition(top).groups):
         name = "unrolled"
     return DRIVERS[name](model, prepare(model, dtype))
 

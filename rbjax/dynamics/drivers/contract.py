@@ -146,3 +146,12 @@ def dof_motion(
 ) -> JointMotion:
     """Compute the motion of one dof from q and v of the robot."""
     return dof.kind.motion([q[k] for k in dof.q], [v[k] for k in dof.v], constants)
+
+
+def frame_motions(
+    frame: Dof, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
+) -> Sequence[JointMotion]:
+    """Compute the motions of all frames of the flexible link of a frame."""
+    joint = frame.kind.joint
+    params = constants.params[: len(joint.defaults)]
+    return joint.frames([q[k] for k in frame.q], [v[k] for k in frame.v], params)

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion
+from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion, frame_motions
 from rbjax.joints import JointMotion
-from rbjax.lanes import Lane, add, fusion_barrier, pack, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, pack, unpack
 from rbjax.model import WORLD, Model, Prepared
 
 
@@ -47,21 +47,24 @@ class Unrolled(ListDriver):
         self.topology, self.constants = model.topology, []
         if prepared is not None:
             self.prepared = prepared
-            self.constants = [prepared.link(i) for i in range(model.nv)]
+            self.constants = [prepared.link(i) for i in range(len(model.topology.links))]
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> list[JointMotion]:
-        qs, vs = unpack(q), self.lanes(v)
-        dofs = enumerate(self.topology.dofs)
-        return fusion_barrier([dof_motion(dof, self.constants[i], qs, vs) for i, dof in dofs])
+        qs, vs, top = unpack(q), self.lanes(v), self.topology
+        out = [dof_motion(dof, self.constants[i], qs, vs) for i, dof in enumerate(top.dofs)]
+        for i in top.frame_starts.values():
+            out += frame_motions(top.links[i], self.constants[i], qs, vs)
+        return fusion_barrier(out)
 
     def lanes(self, x: jax.Array | None) -> list[Lane]:
-        return [0.0] * self.topology.nv if x is None else unpack(x)
+        own = [0.0] * self.topology.nv if x is None else list(unpack(x))
+        return own + [0.0] * len(self.topology.frames)
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> list:
-        return [values.get(i, zero) for i in range(self.topology.nv)]
+        return [values.get(i, zero) for i in range(len(self.topology.links))]
 
     def pack(self, lanes: list[Lane], like: jax.Array) -> jax.Array:
-        return pack(lanes, like)
+        return pack(lanes[: self.topology.nv], like)
 
     def whole(self, values: list) -> list:
         return values
@@ -76,35 +79,45 @@ class Unrolled(ListDriver):
         return [x[k] for x in values]
 
     def outward(self, step: Step, root: Any, xs: list) -> list:
-        return outward(self.topology.parents, step, root, xs)[1]
+        top = self.topology
+        return outward(top.parents, step, root, xs, order=top.order)[1]
 
     def inward(self, step: Step, zero: Any, xs: list) -> list:
-        return inward(self.topology.parents, step, [zero] * len(xs), xs)[1]
+        top = self.topology
+        return inward(top.parents, step, [zero] * len(xs), xs, order=top.order)[1]
 
     def out_and_in(self, out: Step, root: Any, back: Step, zero: Any, xs: list) -> list:
-        ys = outward(self.topology.parents, out, root, xs)[1]
+        ys = self.outward(out, root, xs)
         return self.inward(back, zero, list(zip(xs, ys, strict=True)))
 
 
 def outward(
-    parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()
+    parents: Sequence[int],
+    step: Step,
+    root: Any,
+    xs: list,
+    known: Any = (),
+    order: Sequence[int] | None = None,
 ) -> tuple[list, list]:
     """Run `step` from the root to the leaves. Return the carry and the output of each link.
 
     A fusion barrier follows each step, except for values in `known` and inputs of the steps.
+    `order` has parents before children; None if the indices of the links do.
     """
-    carries: list = []
-    ys: list = []
-    for parent, x in zip(parents, xs, strict=True):
-        before = root if parent == WORLD else carries[parent]
-        carry, y = fusion_barrier(step(x, before), known=(x, before, known))
-        carries.append(carry)
-        ys.append(y)
+    carries, ys = list(xs), list(xs)
+    for i in range(len(xs)) if order is None else order:
+        x, before = xs[i], root if parents[i] == WORLD else carries[parents[i]]
+        carries[i], ys[i] = fusion_barrier(step(x, before), known=(x, before, known))
     return carries, ys
 
 
 def inward(
-    parents: Sequence[int], step: Step, sums: list, xs: list, known: Any = ()
+    parents: Sequence[int],
+    step: Step,
+    sums: list,
+    xs: list,
+    known: Any = (),
+    order: Sequence[int] | None = None,
 ) -> tuple[list, list]:
     """Run an unrolled inward sweep, from the leaves to the root. Return the message of each link to
     its parent, and the output of each link.
@@ -112,8 +125,16 @@ def inward(
     sums: initial sum of messages at each link, from other sweeps.
     """
     sums, messages, ys = list(sums), list(xs), list(xs)
-    for i in reversed(range(len(xs))):
+    for i in reversed(range(len(xs)) if order is None else order):
         messages[i], ys[i] = fusion_barrier(step(xs[i], sums[i]), known=(xs[i], sums[i], known))
         if parents[i] != WORLD:
-            sums[parents[i]] = jax.tree.map(add, sums[parents[i]], messages[i])
+            sums[parents[i]] = _sum(sums[parents[i]], messages[i])
     return messages, ys
+
+
+def _sum(total: Any, message: Any) -> Any:
+    """Add two messages. A structural zero may have fewer leaves than the other message."""
+    if jax.tree.structure(total) != jax.tree.structure(message):
+        assert all(is_zero(x) for x in jax.tree.leaves(total))
+        return message
+    return jax.tree.map(add, total, message)

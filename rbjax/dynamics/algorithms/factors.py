@@ -1,0 +1,159 @@
+"""Factors of the mass matrix, link by link, and the elimination of coordinates by ABA.
+
+A dof with the axis S is eliminated in the link that it moves (aba.py):
+
+    U = I_A S,  D = S.U + armature,  u = tau - S.p;   I_a = I_A - U U^T / D,  p_a = p + U u / D
+
+A coordinate j of a flexible link moves all frames k of the link, each with an axis S_kj. Its column
+is the sum of the messages of the frames, over the twist of the base and the coordinates:
+
+    C_j = sum X_k^T I_k S_kj,   m_ij = sum S_ki.I_k S_kj,   r_j = sum S_kj.p_k
+
+Elimination of the last coordinate k, of which one dof of the base frame is left:
+
+    D = m_kk + armature,  u = tau - r_k,  I_a = I_A - C_k C_k^T / D,  p_a = p + C_k u / D,
+    C_j = C_j - C_k m_kj / D,   m_ij = m_ij - m_ki m_kj / D,   r_j = r_j + m_kj u / D
+
+All coordinates together are the Cholesky elimination of m (Jain & Rodriguez, JGCD 15(6), 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from rbjax.errors import ModelError
+from rbjax.joints import Block, FrameMotion, LinkInertia
+from rbjax.lanes import Lane, add, inner, is_zero, mul, sub
+from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
+
+
+class Factor(NamedTuple):
+    """The factors of a joint that ABA has eliminated, which give qdd = (u - U.a) / D.
+
+    X: pose of the link in its parent.
+    S: axis of the joint in link axes.
+    U: I_A S, with I_A the articulated inertia.
+    inverse_D: 1 / D, with D = S.U + armature.
+    """
+
+    X: Transform
+    S: Motion
+    U: Force
+    inverse_D: Lane
+
+    def inward(
+        self, tau: Lane, p_A: Force, block: Block, inertial: Force
+    ) -> tuple[Lane, Force, Block]:
+        """Compute u, the force p_a = p_A + inertial + U u / D across the joint, and the block."""
+        u = sub(tau, self.S.dot(p_A))
+        return u, p_A + inertial + self.U * mul(u, self.inverse_D), ()
+
+    def outward(self, u: Lane, a: Motion, block: Block) -> tuple[Motion, Lane, Block]:
+        """Compute the acceleration of the link and of the joint from the link's at qdd = 0."""
+        qdd = mul(sub(u, self.U.dot(a)), self.inverse_D)
+        return a + self.S * qdd, qdd, ()
+
+
+class FrameFactor(NamedTuple):
+    """The pose of a frame of a flexible link, and its axis for each coordinate of the link."""
+
+    X: Transform
+    axes: tuple[Motion, ...]
+
+    def inward(
+        self, tau: Lane, p_A: Force, block: Block, inertial: Force
+    ) -> tuple[Lane, Force, Block]:
+        p_a = p_A + inertial
+        return 0.0, p_a, tuple(S.dot(p_a) for S in self.axes)
+
+    def outward(self, u: Lane, a: Motion, block: Block) -> tuple[Motion, Lane, Block]:
+        for S, qdd in zip(self.axes, block, strict=True):
+            a = a + S * qdd
+        return a, 0.0, ()
+
+
+class CoordinateFactor(NamedTuple):
+    """The factors of a coordinate of a flexible link, as `Factor`, and m_kj of all j before it."""
+
+    X: Transform
+    U: Force
+    inverse_D: Lane
+    row: tuple[Lane, ...]
+
+    def inward(
+        self, tau: Lane, p_A: Force, block: Block, inertial: Force
+    ) -> tuple[Lane, Force, Block]:
+        *rest, own = block or (0.0,) * (len(self.row) + 1)
+        u = sub(tau, own)
+        scaled = mul(u, self.inverse_D)
+        left = tuple(add(r, mul(m, scaled)) for r, m in zip(rest, self.row, strict=True))
+        return u, p_A + inertial + self.U * scaled, left
+
+    def outward(self, u: Lane, a: Motion, block: Block) -> tuple[Motion, Lane, Block]:
+        qdd = mul(sub(sub(u, self.U.dot(a)), inner(self.row, block)), self.inverse_D)
+        return a, qdd, (*block, qdd)
+
+
+AnyFactor = Factor | FrameFactor | CoordinateFactor
+
+
+class Column(NamedTuple):
+    """The inertial coupling of coordinate j of a flexible link.
+
+    Fields:
+        C: momentum of the link for a unit rate of the coordinate, about the base frame.
+        m: m_ji for each i from 0 to j.
+    """
+
+    C: Force
+    m: tuple[Lane, ...]
+
+
+def columns_of_frame(
+    joint: FrameMotion, X: Transform, I_A: ArticulatedInertia
+) -> tuple[Column, ...]:
+    """Compute the columns of the inertia I_A of one frame."""
+    momenta = [I_A(S) for S in joint.axes]
+    return tuple(
+        Column(X.T(h), tuple(S.dot(h) for S in joint.axes[: j + 1])) for j, h in enumerate(momenta)
+    )
+
+
+def add_columns(own: LinkInertia, columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Add the inertia of a flexible link to the sum of the columns of its frames."""
+    made = tuple(
+        Column(C, tuple(row[: j + 1]))
+        for j, (C, row) in enumerate(zip(own.coupling, own.mass, strict=True))
+    )
+    if not columns:
+        return made
+    return tuple(
+        Column(a.C + b.C, tuple(map(add, a.m, b.m))) for a, b in zip(made, columns, strict=True)
+    )
+
+
+def eliminate_coordinate(
+    armature: Lane, X: Transform, I_A: ArticulatedInertia, columns: Sequence[Column], joint: Any
+) -> tuple[ArticulatedInertia, CoordinateFactor, tuple[Column, ...]]:
+    """Eliminate the last coordinate of the columns."""
+    if not columns:
+        raise ModelError(
+            f"the flexible link {joint.name!r} has neither frames nor an inertia, so its "
+            "coordinates move no mass; give it a density, or a frame with a body of mass"
+        )
+    *rest, (U, (*row, own)) = columns
+    D = add(own, armature)
+    if is_zero(D):
+        raise ModelError(
+            f"a coordinate of the flexible link {joint.name!r} moves no mass, so the mass matrix "
+            "is singular; give the link a density, or its frames bodies of mass"
+        )
+    inverse_D = 1.0 / D
+    left = []
+    for (C, m), coupled in zip(rest, row, strict=True):
+        scaled = mul(coupled, inverse_D)
+        entries = tuple(sub(x, mul(scaled, y)) for x, y in zip(m, row[: len(m)], strict=True))
+        left.append(Column(C - U * scaled, entries))
+    factor = CoordinateFactor(X, U, inverse_D, tuple(row))
+    return I_A.less(U, inverse_D), factor, tuple(left)
