@@ -19,12 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.algorithms.frames import jacobian
+from rbjax.dynamics.algorithms.inverse import inverse_mass_matrix
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.drivers.rolled import Rolled
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.joints import JointMotion
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
-from rbjax.lanes import Lane, Vec3, add, mul, total
+from rbjax.lanes import Lane, Vec3, add, matmat, mul, total
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.cells import constant_leaves
 from rbjax.model.leaves import table
@@ -57,6 +59,8 @@ def inverse_weights(
     dtype = model.gravity.dtype if dtype is None else dtype
     if model.execution.weights is not None:
         return model.execution.weights[:2]
+    if model.topology.frames:
+        return _of_flexible(model, dtype)
     traced = [isinstance(x, jax.core.Tracer) for x in constant_leaves(model).values()]
     constant = model.execution.constants is None and not any(traced)
     if constant:
@@ -80,6 +84,18 @@ def inverse_weights(
     body = jnp.zeros((model.nb, 2), dtype).at[np.array(_moving(model))].set(weights)
     body, dof = (body, dof) if correct is None else correct(body, dof)
     return _with_slides(model, body, _averaged(model, dof))
+
+
+def _of_flexible(model: Model, dtype: Any) -> tuple[jax.Array, jax.Array]:
+    """Compute the inverse weights of a tree with flexible links from M^-1 and Jacobians."""
+    q = model.joints.reference.astype(dtype)
+    inverse = inverse_mass_matrix(model, q)
+    body = [jnp.zeros(2, dtype)] * model.nb
+    for b in _moving(model):
+        J = jacobian(model, q, model.body_names[b], model.bodies.com[b].astype(dtype))
+        diagonal = (J * matmat(J, inverse)).sum(-1)
+        body[b] = jnp.stack([diagonal[3:].mean(), diagonal[:3].mean()])
+    return jnp.stack(body), _averaged(model, jnp.diagonal(inverse))
 
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:

@@ -29,6 +29,7 @@ from rbjax.dynamics.algorithms.composites import (
     tree_poses,
 )
 from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.flexible_coriolis import flexible_coriolis_matrix
 from rbjax.dynamics.algorithms.frames import ancestor_mask
 from rbjax.dynamics.algorithms.rnea import gravity_forces
 from rbjax.dynamics.arguments import check_arrays
@@ -63,6 +64,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     """
     if not model.nv:
         return jnp.zeros((0, 0), q.dtype)
+    if model.topology.frames:
+        return flexible_coriolis_matrix(model, q, v)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)

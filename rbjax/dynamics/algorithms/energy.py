@@ -29,12 +29,13 @@ from rbjax.dynamics.algorithms.kinematics import (
     forward_kinematics,
     sweep,
 )
-from rbjax.dynamics.algorithms.rnea import LinkForces, momentum, per_link
+from rbjax.dynamics.algorithms.manifold import integrate_lanes
+from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at, momentum, per_link
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
-from rbjax.lanes import Lane, Vec3, add, batch_first, lu, matmat, matvec, mul, pack
+from rbjax.lanes import Lane, Vec3, add, batch_first, lu, matmat, matvec, mul, pack, unpack
 from rbjax.model import Model, prepare
 from rbjax.spatial import Force, Motion
 
@@ -192,6 +193,8 @@ def momentum_and_rate(
     f_ext: LinkForces | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the generalized momentum p = M(q) v and its rate (nv, ...) from checked arrays."""
+    if model.topology.frames:
+        return _flexible_momentum_and_rate(model, q, v, tau, f_ext)
 
     def outward(x, parent):
         link, joint, _, _ = x
@@ -219,6 +222,21 @@ def momentum_and_rate(
     found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
     p, rate = d.unzip(found, 2)
     return d.pack(p, v), d.pack(rate, v)
+
+
+def _flexible_momentum_and_rate(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None
+) -> tuple[jax.Array, jax.Array]:
+    """Compute `momentum_and_rate` in a tree with flexible links: p' = tau - b + M' v."""
+    top = model.topology
+
+    def moved(h: jax.Array) -> jax.Array:
+        at = integrate_lanes(top, unpack(q), unpack(h * v))
+        return momentum(model, pack(at, q), v)
+
+    h = jnp.zeros(q.shape[1:], q.dtype)
+    p, rate = jax.jvp(moved, (h,), (jnp.ones_like(h),))
+    return p, rate + tau - forces_at(model, q, v, jnp.zeros_like(v), f_ext or {})
 
 
 def product(entries: Entries, x: jax.Array) -> jax.Array:

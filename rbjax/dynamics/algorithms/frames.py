@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.dynamics.algorithms import kinematics
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
+from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.algorithms.rnea import generalized_of_links, wrenches_to_links
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
@@ -227,8 +228,8 @@ def frame_bias_acceleration(
         (6,)
     """
 
-    def at_point(r: Vec3, R: Mat3, motion: tuple[Vec3, Motion]) -> Motion:
-        w, a = motion
+    def at_point(r: Vec3, R: Mat3, motion: kinematics.Accelerated) -> Motion:
+        w, a, _ = motion
         lin = a.lin + a.ang.cross(r) + w.cross(w.cross(r))
         return Motion(R @ a.ang, R @ lin)
 
@@ -255,6 +256,26 @@ def _jacobian(
     joints = d.joints(q, v)
     moves = d.literals([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
     return d.stack(columns(d, joints, link, r, moves), lambda m: m, q).T
+
+
+def _flexible_jacobian(where: str, model: Model, q: jax.Array, frame: Frame) -> jax.Array:
+    """Compute `jacobian` in a tree with flexible links, whose dofs move several frames."""
+    d = driver(model, q.dtype)
+    link, r = locate_on_link(where, model, d, q, frame)
+    columns = [Motion.zero()] * model.nv
+    if link != WORLD:
+        motion = kinematics.LinkMotion(d, q, None)
+        at = motion.pose(link).p + motion.pose(link).R @ r
+        for i in d.topology.ancestors[link]:
+            for k, S in motion.axes(i):
+                columns[k] = columns[k] + _column(motion.pose(i), at, S)
+    return d.stack(columns, lambda m: m, q).T
+
+
+def _column(pose: Transform, at: Vec3, S: Motion) -> Motion:
+    """Return the axis S of a link at a point, in world axes."""
+    spin = pose.R @ S.ang
+    return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
 
 
 @algorithm("q", "point")
@@ -290,10 +311,11 @@ def jacobian(
         (6, 2)
     """
 
+    if model.topology.frames:
+        return _flexible_jacobian("jacobian", model, q, Frame(body, point, site))
+
     def column(pose: Transform, at: Vec3, S: Motion, moves: Any) -> Motion:
-        S = S * moves
-        spin = pose.R @ S.ang
-        return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
+        return _column(pose, at, S * moves)
 
     def columns(d: Driver, joints: Any, link: int, r: Vec3, moves: Any) -> Any:
         poses = d.whole(*sweep(d, joints, POSE))
@@ -341,6 +363,15 @@ def jacobian_rate(
         >>> rb.jacobian_rate(model, state.q, state.v, "lower").shape
         (6, 2)
     """
+
+    if model.topology.frames:
+
+        def moved(h: jax.Array) -> jax.Array:
+            at = Frame(body, point, site)
+            return _flexible_jacobian("jacobian_rate", model, integrate(model, q, h * v), at)
+
+        h = jnp.zeros((), q.dtype)
+        return jax.jvp(moved, (h,), (jnp.ones_like(h),))[1]
 
     def in_world(pose: Transform, V: Motion) -> tuple[Transform, Motion]:
         return pose, Motion(pose.R @ V.ang, pose.R @ V.lin)

@@ -86,7 +86,8 @@ def algorithm(
             program, closed_over = trace(flat, moving)
             if saves is not None and saves(*args, **kwargs):
                 program = dataclasses.replace(program, saves=True)
-            if multi_kernel is not None and args[0].nv > KERNELS_ABOVE:
+            large = args[0].nv > KERNELS_ABOVE and not args[0].topology.frames
+            if multi_kernel is not None and large:
                 as_given = split_tracers((args, kwargs))[1]
 
                 def in_kernels(*moving: Any) -> list[jax.Array]:
