@@ -226,7 +226,7 @@ class CoordinateDof(DofKind):
 
 
 class FrameKind(DofKind):
-    """A frame of a flexible link, which has no coordinate. `Flexible.frames` computes its motion."""
+    """A frame of a flexible link, without a coordinate. `Flexible.frames` computes its motion."""
 
     constant_axis = False
 

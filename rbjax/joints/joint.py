@@ -23,7 +23,6 @@ from rbjax.joints.modal import RIGID, ModalInertia
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
-
 #: one lane for each coordinate of a flexible link that is not eliminated yet; () at other links
 Block = tuple[Lane, ...]
 

@@ -280,7 +280,7 @@ def _joint_params(top: Topology, given, xp):
 
 
 def _link_axes(top: Topology, axis, given, xp):
-    """Compute the orientation (links, 3, 3) of each link in its body, with z along the dof's axis."""
+    """Compute the orientation (links, 3, 3) of each link in its body, with z along its axis."""
     links, starts = top.links, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
     shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
     align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]

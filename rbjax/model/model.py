@@ -29,6 +29,7 @@ from rbjax.model.state import State
 from rbjax.model.tendons import Tendons
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
+from rbjax.model.with_link import with_link
 
 #: the number of axes of each leaf of one model, in the order of the leaves
 AXES = {
@@ -365,6 +366,10 @@ class Model(Record):
             ('screw', 'hinge')
         """
         return with_joint(self, name, kind, **given)
+
+    def with_link(self, name: str, joint: Any, parent: str = "world", **given: Any) -> Model:
+        """Return a copy with one more body, without mass, and a joint (`rbjax.model.with_link`)."""
+        return with_link(self, name, joint, parent, **given)
 
     def keyframe(self, name: str) -> State:
         """Return the state of a keyframe of the file."""

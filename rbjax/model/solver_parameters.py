@@ -78,10 +78,26 @@ class SolverParameters(Record):
         changes |= {"limited": limited, "rubbing": rubbing, "translating": translating}
         return dataclasses.replace(self, **changes)
 
+    def with_link(self, count: int) -> SolverParameters:
+        """Return the parameters after a joint with `count` dofs is added, without limits and
+        friction loss."""
+        rows = {
+            "limit_solref": [SOLREF], "limit_solimp": [SOLIMP], "limit_margin": [0.0],
+            "frictionloss": [0.0] * count, "friction_solref": [SOLREF] * count,
+            "friction_solimp": [SOLIMP] * count,
+        }  # fmt: skip
+        return dataclasses.replace(
+            self, **{name: _appended(getattr(self, name), x) for name, x in rows.items()}
+        )
+
 
 #: MuJoCo's default reference and impedance
 SOLREF = (0.02, 1.0)
 SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+
+def _appended(x: jax.Array, rows: Any) -> jax.Array:
+    return jnp.concatenate([x, jnp.asarray(rows, x.dtype).reshape(-1, *x.shape[1:])])
 
 
 def _spliced(x: jax.Array, at: slice, count: int, row: Any) -> jax.Array:

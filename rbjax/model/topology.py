@@ -5,8 +5,8 @@ A *dof* is one velocity coordinate: a hinge has one, a ball three (`rbjax.joints
 Recursions run over the links. Bodies without joints are merged into the last link of the body that
 carries them.
 
-The frames of a flexible link (`rbjax.joints.Flexible`) are links without a dof. Their indices follow
-those of the dofs.
+The frames of a flexible link (`rbjax.joints.Flexible`) are links without a dof. Their indices
+follow those of the dofs.
 
 A *limb* is the subtree of a joint whose parent link is the world or has several children. Limbs
 with equal trees of joint kinds form a *group* and share one program. All links outside groups are

@@ -91,8 +91,7 @@ def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     ys = d.whole(d.inward(step, (RigidInertia.zero(), ()), d.zip(d.constants, joints)))
     motions, top = d.whole(joints), d.topology
     M: list[list[Lane]] = [[0.0] * top.nv for _ in range(top.nv)]
-    for i, dof in enumerate(top.dofs):
-        X, (F, row) = ys[i]
+    for i, (X, (F, row)) in enumerate(ys[: top.nv]):
         first = i + 1 - len(row)
         for j, m in enumerate(row, first):
             M[i][j] = M[j][i] = m

@@ -145,8 +145,8 @@ def rnea(
 def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
-    """Compute the pose of each link in its parent, I a + bias force - f_ext, and the inertial forces
-    of its mode and of its coordinates, per link."""
+    """Compute the pose of each link in its parent, I a + bias force - f_ext, and the inertial
+    forces of its mode and of its coordinates, per link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 
