@@ -245,12 +245,9 @@ class Frame:
         block: Block = ()
         while at != WORLD:
             X, joint = self._links.to_parent(at)
-            arm, block = joint.project(wrench, block)
-            if at < top.nv:
-                out[at] = arm
-            wrench = X.T(wrench)
-            at = top.parents[at]
-        return out
+            out[at], block = joint.project(wrench, block)
+            wrench, at = X.T(wrench), top.parents[at]
+        return {i: arm for i, arm in out.items() if i < top.nv}
 
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:
         """Compute J^T w of a force and a torque in world axes at the frame's origin, by dof."""

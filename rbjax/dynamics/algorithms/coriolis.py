@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask
 from rbjax.dynamics.algorithms.composites import (
     Coriolis,
     axis_rates,
@@ -30,7 +31,6 @@ from rbjax.dynamics.algorithms.composites import (
 )
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.flexible_coriolis import flexible_coriolis_matrix
-from rbjax.dynamics.algorithms.frames import ancestor_mask
 from rbjax.dynamics.algorithms.rnea import gravity_forces
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.drivers.choice import Driver, driver

@@ -17,35 +17,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.algorithms.body_jacobians import body_jacobians
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.drivers.choice import driver
-from rbjax.joints import FrameMotion, LinkInertia
-from rbjax.lanes import Vec3, as_arrays, is_zero, matmat, matvec
+from rbjax.joints import LinkInertia
+from rbjax.lanes import Vec3, as_arrays, matmat, matvec
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, RigidInertia
-
-
-def body_jacobians(model: Model, q: jax.Array) -> jax.Array:
-    """Compute the Jacobian (links, 6, nv) of each link in its own axes, at its origin."""
-    d = driver(model, q.dtype)
-    top = d.topology
-
-    def outward(x: Any, parent: dict[int, Motion]) -> tuple[dict, dict]:
-        link, joint, i = x
-        X = joint.transform(link)
-        out = {k: X(S) for k, S in parent.items()}
-        if isinstance(joint, FrameMotion):
-            for k, S in zip(top.links[i].v, joint.axes, strict=True):
-                out[k] = out[k] + S if k in out else S
-        elif any(not is_zero(x) for x in joint.S):
-            out[i] = joint.S
-        return out, out
-
-    numbered = d.zip(d.constants, d.joints(q, None), list(range(len(top.links))))
-    like, zero = jnp.zeros((), q.dtype), Motion.zero()
-    found = d.outward(outward, {}, numbered)
-    rows = [[as_arrays([*J.get(k, zero)], like) for k in range(top.nv)] for J in found]
-    return jnp.stack([jnp.stack([jnp.stack(S) for S in row], -1) for row in rows])
 
 
 def flexible_coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:

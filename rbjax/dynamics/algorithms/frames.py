@@ -15,9 +15,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.dynamics.algorithms import kinematics
+from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask, point_jacobian
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.algorithms.rnea import generalized_of_links, wrenches_to_links
@@ -26,7 +26,7 @@ from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Mat3, Vec3, pack
-from rbjax.model import WORLD, Frame, Model, Topology, prepare
+from rbjax.model import WORLD, Frame, Model, prepare
 from rbjax.model.leaves import frame_transform
 from rbjax.spatial import Motion, Transform
 
@@ -61,12 +61,8 @@ def locate_on_link(
     return model.topology.body_links[b], weld.p + weld.R @ pose.p
 
 
-def ancestor_mask(top: Topology, link: int) -> np.ndarray:
-    """Return the mask (nv,) of the dofs that move a link."""
-    mask = np.zeros(top.nv, bool)
-    if link != WORLD:
-        mask[[i for i in top.ancestors[link] if i < top.nv]] = True
-    return mask
+def _on_link(where: str, model: Model, q: jax.Array, frame: Frame) -> tuple[int, Vec3]:
+    return locate_on_link(where, model, driver(model, q.dtype), q, frame)
 
 
 @algorithm("q", "point")
@@ -78,9 +74,7 @@ def frame_pose(
     *,
     site: str | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the pose R (3, 3), p (3,) of the frame of a body or site in the world.
-
-    Only the links from the base to the frame are computed.
+    """Compute the pose R (3, 3), p (3,) of the frame of a body or site, along its path of links.
 
     Args:
         model: the robot.
@@ -258,26 +252,6 @@ def _jacobian(
     return d.stack(columns(d, joints, link, r, moves), lambda m: m, q).T
 
 
-def _flexible_jacobian(where: str, model: Model, q: jax.Array, frame: Frame) -> jax.Array:
-    """Compute `jacobian` in a tree with flexible links, whose dofs move several frames."""
-    d = driver(model, q.dtype)
-    link, r = locate_on_link(where, model, d, q, frame)
-    columns = [Motion.zero()] * model.nv
-    if link != WORLD:
-        motion = kinematics.LinkMotion(d, q, None)
-        at = motion.pose(link).p + motion.pose(link).R @ r
-        for i in d.topology.ancestors[link]:
-            for k, S in motion.axes(i):
-                columns[k] = columns[k] + _column(motion.pose(i), at, S)
-    return d.stack(columns, lambda m: m, q).T
-
-
-def _column(pose: Transform, at: Vec3, S: Motion) -> Motion:
-    """Return the axis S of a link at a point, in world axes."""
-    spin = pose.R @ S.ang
-    return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
-
-
 @algorithm("q", "point")
 def jacobian(
     model: Model,
@@ -312,10 +286,11 @@ def jacobian(
     """
 
     if model.topology.frames:
-        return _flexible_jacobian("jacobian", model, q, Frame(body, point, site))
+        return point_jacobian(model, q, *_on_link("jacobian", model, q, Frame(body, point, site)))
 
     def column(pose: Transform, at: Vec3, S: Motion, moves: Any) -> Motion:
-        return _column(pose, at, S * moves)
+        S = S * moves
+        return Motion(spin := pose.R @ S.ang, spin.cross(at - pose.p) + pose.R @ S.lin)
 
     def columns(d: Driver, joints: Any, link: int, r: Vec3, moves: Any) -> Any:
         poses = d.whole(*sweep(d, joints, POSE))
@@ -365,12 +340,9 @@ def jacobian_rate(
     """
 
     if model.topology.frames:
-
-        def moved(h: jax.Array) -> jax.Array:
-            at = Frame(body, point, site)
-            return _flexible_jacobian("jacobian_rate", model, integrate(model, q, h * v), at)
-
+        at = _on_link("jacobian_rate", model, q, Frame(body, point, site))
         h = jnp.zeros((), q.dtype)
+        moved = lambda h: point_jacobian(model, integrate(model, q, h * v), *at)  # noqa: E731
         return jax.jvp(moved, (h,), (jnp.ones_like(h),))[1]
 
     def in_world(pose: Transform, V: Motion) -> tuple[Transform, Motion]:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import compile_threads, map_threads
+from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
-from rbjax.dynamics.algorithms.frames import ancestor_mask
 from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transforms, sweep
 from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.drivers.choice import driver, on_threads
