@@ -49,8 +49,9 @@ from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
 from rbjax.loading.mjcf.surfaces import surface_fields
 from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendon_armature, tendons_of
 from rbjax.loading.sources import compile_source, describe
+from rbjax.model.components import Bodies, Joints, Keyframes, Sites
 from rbjax.model.geoms import Geoms
-from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
+from rbjax.model.model import Model
 from rbjax.model.topology import Topology
 
 _KINDS = {

@@ -1,5 +1,6 @@
 """Models of robots: `Model` and its static part, `Topology`."""
 
+from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.frame import Frame
 from rbjax.model.links import (
     LinkConstants,
@@ -8,15 +9,7 @@ from rbjax.model.links import (
     with_constants,
     without_constants,
 )
-from rbjax.model.model import (
-    DRIVER_NAMES,
-    Actuators,
-    Bodies,
-    Joints,
-    Keyframes,
-    Model,
-    Sites,
-)
+from rbjax.model.model import DRIVER_NAMES, Model
 from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.state import State
 from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans

@@ -312,8 +312,7 @@ def jacobian_rate(
 ) -> jax.Array:
     """Compute J'(q, v) (6, nv), the time derivative of `jacobian` while the robot moves at v.
 
-    With u the velocity of a link's origin and w the angular velocity of its axis z, it uses
-    z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v.
+    It uses z' = w x z and (z x r)' = z' x r + z x r'. `frame_bias_acceleration` is J' v.
 
     Args:
         model: the robot.

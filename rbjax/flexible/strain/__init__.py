@@ -9,6 +9,18 @@ elastic_energy     stiffness matrix of the coordinates, elastic energy
 """
 
 from rbjax.flexible.strain.elastic_energy import elastic_energy, stiffness_matrix
-from rbjax.flexible.strain.strain_beam import StrainBeam, largest_cell_angle, strain_beam
+from rbjax.flexible.strain.strain_beam import (
+    STRAINS,
+    StrainBeam,
+    largest_cell_angle,
+    strain_beam,
+)
 
-__all__ = ["StrainBeam", "elastic_energy", "largest_cell_angle", "stiffness_matrix", "strain_beam"]
+__all__ = [
+    "STRAINS",
+    "StrainBeam",
+    "elastic_energy",
+    "largest_cell_angle",
+    "stiffness_matrix",
+    "strain_beam",
+]

@@ -23,7 +23,7 @@ import numpy as np
 from rbjax.lanes import Lane, is_literal
 from rbjax.model.leaves import scalar, table
 from rbjax.model.links import lane
-from rbjax.model.model import Record
+from rbjax.model.record import Record
 
 
 def clip(x: Lane, limits: Any, i: int) -> Lane:

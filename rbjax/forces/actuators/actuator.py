@@ -32,8 +32,9 @@ from rbjax.forces.reach import Reach
 from rbjax.forces.slopes import Slope, derivatives
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model import Model
+from rbjax.model.components import Actuators
 from rbjax.model.leaves import numbers, table
-from rbjax.model.model import Actuators, Record
+from rbjax.model.record import Record
 
 
 class Signals:

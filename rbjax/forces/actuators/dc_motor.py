@@ -21,7 +21,7 @@ from rbjax.forces.actuators.actuator import ForceLaw, Signals
 from rbjax.forces.actuators.pid import Controller
 from rbjax.lanes import Lane, add
 from rbjax.model.leaves import numbers, scalar
-from rbjax.model.model import Record
+from rbjax.model.record import Record
 
 
 class Windings(Record):

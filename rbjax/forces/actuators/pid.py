@@ -18,7 +18,7 @@ from rbjax.forces.actuators.activation import clip
 from rbjax.forces.actuators.actuator import ForceLaw, Signals
 from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
-from rbjax.model.model import Record
+from rbjax.model.record import Record
 
 #: names of the possible inputs of a controller, in the order of the controls
 INPUTS = ("pos", "vel", "ff")

@@ -20,7 +20,7 @@ from rbjax.forces.reach import Reach, arms_between, opposed_arms
 from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub
 from rbjax.model.leaves import numbers, scalar
-from rbjax.model.model import Record
+from rbjax.model.record import Record
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.model import WORLD, Model, State, Topology
-from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
+from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.motion.integrators import loop_stages
 from rbjax.sysid.simulation.jacobian_colouring import independent_parts
 from rbjax.sysid.simulation.setup import (

@@ -13,7 +13,7 @@ import numpy as np
 from rbjax.joints import kind as kind_of
 from rbjax.lanes import Lane, is_literal
 from rbjax.model import WORLD, Model
-from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
+from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.topology import Topology
 
 Lanes = Sequence[Lane]

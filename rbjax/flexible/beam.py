@@ -1,0 +1,228 @@
+"""Beams and cables as links of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.flexible.elasticity import BeamElasticity
+from rbjax.flexible.section import Section, section
+from rbjax.flexible.strain import STRAINS, StrainBeam, strain_beam
+from rbjax.joints import kind
+from rbjax.model import Model
+from rbjax.model.record import Record
+from rbjax.rotations.arguments import check_positive, checked
+
+
+class Beam(Record):
+    """A flexible beam, which `Model.with_beam` adds to a robot. Create it with `beam`.
+
+    Fields:
+        length: (), m.
+        section: the cross-section, or one at each Gauss point of a tapered beam.
+        viscosity: C_v of the section, (6,) or (6, 6) or one at each Gauss point, as
+            `section.stiffness`.
+        natural: name of the curvature -> Legendre coefficients of natural curvature and twist, 1/m.
+        degrees: (strain, degree) pairs; static.
+        points: the number of Gauss points, or None for the default; static.
+    """
+
+    length: jax.Array
+    section: Section
+    viscosity: jax.Array
+    natural: dict[str, jax.Array]
+    degrees: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    points: int | None = eqx.field(static=True, default=None)
+
+    @property
+    def tapered(self) -> bool:
+        """True if the section varies along the beam."""
+        return np.ndim(self.section.mass) == 1
+
+    def joint(self, frames: tuple[float, ...] = ()) -> StrainBeam:
+        """Return the kind of joint of the beam, with further frames at s / L."""
+        return strain_beam(
+            dict(self.degrees),
+            points=self.points,
+            frames=frames,
+            natural={name: len(x) - 1 for name, x in self.natural.items()},
+            tapered=self.tapered,
+            eccentric=self.section.eccentric,
+        )
+
+    def params(self, joint: StrainBeam) -> jax.Array:
+        """Return the parameters (n,) of the kind of joint."""
+        own = self.section
+        values = {
+            "length": self.length,
+            "mass_per_length": own.mass,
+            "rotary_inertia": own.inertia,
+            "first_moment": own.first_moment,
+            "product_of_inertia": own.product,
+            **{f"natural_{name}": x for name, x in self.natural.items()},
+        }
+        return jnp.concatenate([jnp.ravel(values[name]) for name in joint.params])
+
+    def add(
+        self,
+        model: Model,
+        name: str,
+        parent: str = "world",
+        *,
+        position: Any = (0.0, 0.0, 0.0),
+        orientation: Any = (1.0, 0.0, 0.0, 0.0),
+        free: bool = False,
+        frames: Mapping[str, float] | None = None,
+    ) -> Model:
+        """Add the beam to a model. `Model.with_beam` calls it.
+
+        The beam starts at its base frame, along x, and the body `name` is its tip. Add bodies,
+        sites, constraints and forces to the tip and to the bodies of `frames` by their names.
+
+        Args:
+            model: the model.
+            name: name of the beam's joint, and of the body at its tip.
+            parent: the body to which the base is clamped, or "world".
+            position: (3,) m, of the base frame in the parent.
+            orientation: (4,) unit quaternion of the base frame in the parent.
+            free: True for a base that moves freely, by a joint named `name` + "_base"; the parent
+                must then be the world.
+            frames: name of a further body -> s / L of its frame.
+
+        Returns:
+            the model with the beam, and its `BeamElasticity` as a force.
+
+        Raises:
+            UnknownName: no such parent. InputError: a name that is taken, a place out of range.
+
+        Example:
+            >>> import rbjax as rb
+            >>> rod = rb.flexible.beam(2.0, [0, 5.0, 5.0, 0, 0, 0], {"k_z": 3}, mass=0.5)
+            >>> model = rb.load("<mujoco/>").with_beam("rod", rod, frames={"middle": 0.5})
+            >>> model.nv, model.body_names
+            (4, ('rod', 'middle'))
+        """
+        places = dict(frames or {})
+        joint = self.joint(tuple(places.values()))
+        base = {"position": position, "orientation": orientation}
+        if free:
+            if parent != "world":
+                raise InputError(
+                    f"with_beam: got parent={parent!r} and free=True; the base of a free beam is "
+                    "in the world: leave out parent, or free"
+                )
+            parent, base = f"{name}_base", {}
+            model = model.with_link(
+                parent, kind("free"), position=position, orientation=orientation
+            )
+        extra = {body: joint.tip + 1 + i for i, body in enumerate(places)}
+        params = self.params(joint)
+        model = model.with_link(name, joint, parent, params=params, frames=extra, **base)
+        C = self.section.stiffness
+        return model.with_forces(BeamElasticity(_lean(C), _lean(self.viscosity), name))
+
+
+def beam(
+    length: Any,
+    section: Section | Any,
+    degrees: Mapping[str, int] | None = None,
+    *,
+    mass: Any = None,
+    inertia: Any = (0.0, 0.0, 0.0),
+    damping: Any = 0.0,
+    natural: Mapping[str, Any] | None = None,
+    points: int | None = None,
+) -> Beam:
+    """Create a beam, for `Model.with_beam`.
+
+    Bending without shear (a Kirchhoff rod) and without axial strain (inextensible) needs k_y and
+    k_z, and k_x for torsion; such a beam has no stiff axial waves. The largest frequency grows with
+    the fourth power of the degree, so prefer degree 2 or 3, and long cables in several links.
+
+    Args:
+        length: m, more than zero.
+        section: the cross-section (`rbjax.flexible.circle` and others), or the diagonal (6,) or the
+            matrix (6, 6) of its stiffness in the order k_x, k_y, k_z, e_x, g_y, g_z.
+        degrees: strain -> degree of its polynomial; torsion and bending of degree 2 if None.
+        mass: kg/m, if `section` is a stiffness.
+        inertia: (3,) rotary inertia about x, y, z, kg m, if `section` is a stiffness.
+        damping: s, the ratio of viscosity to stiffness (Kelvin and Voigt): one number, or six.
+        natural: "k_x", "k_y" or "k_z" -> Legendre coefficients of natural twist or curvature, 1/m.
+        points: the number of Gauss points; by default the coefficients of a strain + 3.
+
+    Returns:
+        the beam.
+
+    Raises:
+        InputError: a value that is not positive, no strain, a degree out of range.
+        UnknownName: no such strain.
+
+    Source: Boyer, Lebastard, Candelier & Renda, IEEE T-RO 37(3), 2021.
+
+    Example:
+        >>> import rbjax as rb
+        >>> steel = rb.flexible.circle(0.005, E=2.1e11, nu=0.3, density=7800.0)
+        >>> rb.flexible.beam(0.5, steel, {"k_y": 3, "k_z": 3}).joint().coordinates
+        8
+    """
+    check_positive("beam", length=length)
+    length = checked("beam", "length", length, "scalar")
+    given = _section(section, mass, inertia)
+    ratio = jnp.asarray(damping, float)
+    if ratio.shape not in ((), (6,)):
+        raise InputError(
+            f"beam: damping has the shape {ratio.shape}, expected one ratio of viscosity to "
+            "stiffness in s, or (6,), one for each strain"
+        )
+    if not isinstance(ratio, jax.core.Tracer) and not bool((np.asarray(ratio) >= 0).all()):
+        raise InputError(f"beam: damping is {damping}, expected ratios not below zero, in s")
+    C = given.stiffness
+    root = jnp.sqrt(jnp.broadcast_to(ratio, (6,)))
+    viscosity = C * root[:, None] * root
+    curved = {name: jnp.atleast_1d(jnp.asarray(x, float)) for name, x in (natural or {}).items()}
+    own = {"k_x": 2, "k_y": 2, "k_z": 2} if degrees is None else dict(degrees)
+    out = Beam(length, given, viscosity, curved, tuple(own.items()), points)
+    joint = out.joint()  # checks the strains
+    _check_stiffness(C, joint)
+    return out
+
+
+def _section(given: Any, mass: Any, inertia: Any) -> Section:
+    if isinstance(given, Section):
+        if mass is not None:
+            raise InputError("beam: got a section and mass; the section has a mass already")
+        return given
+    if mass is None:
+        raise InputError(
+            "beam: section is a stiffness, so mass (kg/m) is needed; or make a section by its "
+            "shape, for example rbjax.flexible.circle"
+        )
+    return section(given, mass, inertia)
+
+
+def _check_stiffness(C: Any, joint: StrainBeam) -> None:
+    """Raise InputError if an active strain has no stiffness."""
+    if isinstance(C, jax.core.Tracer):
+        return
+    for name, _ in joint.shape.degrees:
+        k = STRAINS.index(name)
+        if not bool((np.asarray(C)[..., k, k] > 0).all()):
+            raise InputError(
+                f"beam: the strain {name} is a coordinate, and its stiffness is "
+                f"{np.asarray(C)[..., k, k]}, expected a number above zero; leave the strain out "
+                "of degrees, or give it a stiffness"
+            )
+
+
+def _lean(C: jax.Array) -> jax.Array:
+    """Return the diagonal of a stiffness, if it is known to be diagonal."""
+    if isinstance(C, jax.core.Tracer):
+        return C
+    off = np.asarray(C) * (1 - np.eye(6))
+    return jnp.diagonal(C, axis1=-2, axis2=-1) if not off.any() else C

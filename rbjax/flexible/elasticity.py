@@ -1,0 +1,93 @@
+"""Elastic and viscous forces of a beam in strain coordinates.
+
+    tau = -K q - D q',    K = int B^T C B ds,   D = int B^T C_v B ds
+
+C is the stiffness of the section and C_v its viscosity (Kelvin and Voigt). If C is constant and
+diagonal, K is diagonal, so steps that are implicit in stiffness cost no more than explicit ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import equinox as eqx
+import jax
+
+from rbjax.flexible.strain import StrainBeam, elastic_energy, stiffness_matrix
+from rbjax.forces.context import Context
+from rbjax.forces.element import Element, Loads, Shapes
+from rbjax.forces.slopes import Slope
+from rbjax.lanes import Lane, add, inner, is_zero, neg
+from rbjax.model import Model
+from rbjax.model.leaves import numbers
+
+
+class BeamElasticity(Element):
+    """The elasticity and damping of a beam. `Model.with_beam` adds it.
+
+    Fields:
+        stiffness: C of the section in the order k_x, k_y, k_z, e_x, g_y, g_z: the diagonal (6,), or
+            (6, 6), or for a tapered beam one of these at each Gauss point.
+        viscosity: C_v of the section, of the same shape.
+        joint: the name of the beam; static.
+
+    Source: Boyer, Lebastard, Candelier & Renda, IEEE T-RO 37(3), 2021.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> rod = rb.flexible.beam(2.0, [0, 0, 6.0, 0, 0, 0], {"k_z": 1}, mass=0.5)
+        >>> model = rb.load("pendulum").with_beam("rod", rod)
+        >>> state = model.default_state().replace(q=jnp.array([0.0, 1.0, 1.0]))
+        >>> rb.applied_forces(model, state).tolist()
+        [0.0, -12.0, -4.0]
+    """
+
+    stiffness: jax.Array
+    viscosity: jax.Array
+    joint: str = eqx.field(static=True)
+
+    def shapes(self, model: Model) -> Shapes:
+        shape = (None,) * self.stiffness.ndim
+        return {"stiffness": shape, "viscosity": shape}
+
+    def _matrices(self, context: Context) -> tuple[StrainBeam, list[list[Lane]], list[list[Lane]]]:
+        """Return the kind of joint, K and D."""
+        model = context.model
+        j = model.joint(self.joint)
+        kind = model.topology.joints[j]
+        at = sum(len(joint.defaults) for joint in model.topology.joints[:j])
+        params = numbers(model.joints.params[at : at + len(kind.defaults)], context.q.dtype)
+        (length,) = kind.named(params)["length"]
+
+        def made(C: jax.Array) -> list[list[Lane]]:
+            return stiffness_matrix(kind, _nested(C, context.q.dtype), length)
+
+        return kind, made(self.stiffness), made(self.viscosity)
+
+    def loads(self, context: Context) -> Loads:
+        model = context.model
+        _, K, D = self._matrices(context)
+        at_q, at_v = model.q_slice(self.joint), model.v_slice(self.joint)
+        q, v = list(context.q[at_q]), list(context.v[at_v])
+        rows = enumerate(zip(K, D, strict=True), at_v.start)
+        return Loads({i: neg(add(inner(k, q), inner(d, v))) for i, (k, d) in rows})
+
+    def slopes(self, context: Context) -> Iterable[Slope]:
+        _, K, D = self._matrices(context)
+        start = context.model.v_slice(self.joint).start
+        for i, (k, d) in enumerate(zip(K, D, strict=True)):
+            for j, (stiffness, damping) in enumerate(zip(k, d, strict=True)):
+                if not (is_zero(stiffness) and is_zero(damping)):
+                    along = None if i == j else {start + j: 1.0}
+                    yield Slope({start + i: 1.0}, stiffness, damping, along)
+
+    def energy(self, context: Context) -> Lane:
+        _, K, _ = self._matrices(context)
+        return elastic_energy(K, list(context.q[context.model.q_slice(self.joint)]))
+
+
+def _nested(C: jax.Array, dtype: jax.typing.DTypeLike) -> Sequence:
+    """Convert an array to nested lists of lanes."""
+    if C.ndim == 1:
+        return numbers(C, dtype)
+    return [_nested(C[i], dtype) for i in range(C.shape[0])]
