@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 import equinox as eqx
 import jax
 
+from rbjax.errors import InputError
 from rbjax.flexible.strain import StrainBeam, elastic_energy, stiffness_matrix
 from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
@@ -55,6 +56,11 @@ class BeamElasticity(Element):
         model = context.model
         j = model.joint(self.joint)
         kind = model.topology.joints[j]
+        if not isinstance(kind, StrainBeam):
+            raise InputError(
+                f"BeamElasticity: the joint {self.joint!r} is of the kind {kind.name!r}, expected "
+                "a beam (Model.with_beam)"
+            )
         at = sum(len(joint.defaults) for joint in model.topology.joints[:j])
         params = numbers(model.joints.params[at : at + len(kind.defaults)], context.q.dtype)
         (length,) = kind.named(params)["length"]

@@ -9,6 +9,7 @@ flexible                                  a link with n coordinates that carries
 from rbjax.joints.flexible import (
     CoordinateMotion,
     Flexible,
+    FrameKind,
     FrameMotion,
     LinkInertia,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "DofKind",
     "DofSpec",
     "Flexible",
+    "FrameKind",
     "FrameMotion",
     "Joint",
     "JointMotion",

@@ -81,14 +81,15 @@ class SolverParameters(Record):
     def with_link(self, count: int) -> SolverParameters:
         """Return the parameters after a joint with `count` dofs is added, without limits and
         friction loss."""
-        rows = {
+        rows: dict[str, Any] = {
             "limit_solref": [SOLREF], "limit_solimp": [SOLIMP], "limit_margin": [0.0],
             "frictionloss": [0.0] * count, "friction_solref": [SOLREF] * count,
             "friction_solimp": [SOLIMP] * count,
         }  # fmt: skip
-        return dataclasses.replace(
-            self, **{name: _appended(getattr(self, name), x) for name, x in rows.items()}
-        )
+        changes: dict[str, Any] = {
+            name: _appended(getattr(self, name), x) for name, x in rows.items()
+        }
+        return dataclasses.replace(self, **changes)
 
 
 #: MuJoCo's default reference and impedance

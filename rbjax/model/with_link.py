@@ -60,7 +60,8 @@ def with_link(
     params = array_like("with_link(params=...)", params, shape, dtype, infinite=False)
     at_frames = tuple((body + 1 + k, j, i) for k, i in enumerate(frames.values()))
     unit = np.tile([1.0, 0.0, 0.0, 0.0], (len(frames), 1))
-    start, still = start_of(joint), np.zeros(joint.nv)
+    start: Any = start_of(joint)
+    still = np.zeros(joint.nv)
     if joint.on_world:
         start = jnp.concatenate([position, orientation])
     limits = np.array([[-np.inf, np.inf]])

@@ -113,7 +113,7 @@ def to_parent(
     `mass` is the result of `rigid_mass`. If it is not None, the linear block of I_a is m 1 - U U^T
     / D. Then only the vector U is rotated, in place of this block.
     """
-    if mass is None:
+    if mass is None or not isinstance(factor, Factor):
         return X.articulated_to_parent(I_a)
     U = X.R @ factor.U.lin
     M = Sym3(mass, mass, mass, 0.0, 0.0, 0.0) - Sym3.outer(U * factor.inverse_D, U)

@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 
-from rbjax.joints import JointMotion
+from rbjax.joints import FrameKind, JointMotion
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Dof, LinkConstants, Prepared, Topology
 from rbjax.spatial import Motion
@@ -152,6 +152,7 @@ def frame_motions(
     frame: Dof, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
 ) -> Sequence[JointMotion]:
     """Compute the motions of all frames of the flexible link of a frame."""
+    assert isinstance(frame.kind, FrameKind)
     joint = frame.kind.joint
     params = constants.params[: len(joint.defaults)]
     return joint.frames([q[k] for k in frame.q], [v[k] for k in frame.v], params)

@@ -134,7 +134,8 @@ def inward(
 
 def _sum(total: Any, message: Any) -> Any:
     """Add two messages. A structural zero may have fewer leaves than the other message."""
-    if jax.tree.structure(total) != jax.tree.structure(message):
+    same = jax.tree.structure(total) == jax.tree.structure(message)  # type: ignore[operator]
+    if not same:
         assert all(is_zero(x) for x in jax.tree.leaves(total))
         return message
     return jax.tree.map(add, total, message)
