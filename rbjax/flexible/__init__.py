@@ -1,14 +1,14 @@
 """Flexible links: beams and elastic bodies as links of a robot.
 
-beam          `Beam`, which `Model.with_beam` adds to a robot
+beams         `Beam`, which `Model.with_beam` adds to a robot
 elasticity    elastic and viscous forces of a beam
-section       cross-sections: stiffness, mass and rotary inertia per length
+cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
 """
 
-from rbjax.flexible.beam import Beam, beam
+from rbjax.flexible.beams import Beam, beam
+from rbjax.flexible.cross_section import Section, circle, ellipse, rectangle, section, tube
 from rbjax.flexible.elasticity import BeamElasticity
-from rbjax.flexible.section import Section, circle, ellipse, rectangle, section, tube
 
 __all__ = [
     "Beam",

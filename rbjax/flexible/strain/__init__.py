@@ -5,10 +5,10 @@ rotation           rotation over a cell: Magnus expansion of order 6, exponentia
 turning            rotations, their columns and their rates at the nodes of a beam
 beam_kinematics    positions, columns and accelerations at the frames of a beam
 strain_beam        `StrainBeam`, a flexible link
-elastic_energy     stiffness matrix of the coordinates, elastic energy
+stiffness          stiffness matrix of the coordinates, elastic energy
 """
 
-from rbjax.flexible.strain.elastic_energy import elastic_energy, stiffness_matrix
+from rbjax.flexible.strain.stiffness import elastic_energy, stiffness_matrix
 from rbjax.flexible.strain.strain_beam import (
     STRAINS,
     StrainBeam,

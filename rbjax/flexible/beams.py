@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.flexible.cross_section import Section, section
 from rbjax.flexible.elasticity import BeamElasticity
-from rbjax.flexible.section import Section, section
 from rbjax.flexible.strain import STRAINS, StrainBeam, strain_beam
 from rbjax.joints import kind
 from rbjax.model import Model
