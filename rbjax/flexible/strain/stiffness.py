@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.errors import InputError
-from rbjax.flexible.strain.strain_beam import STRAINS, StrainBeam
+from rbjax.flexible.strain.beam_joint import STRAINS, StrainBeam
 from rbjax.lanes import Lane, inner, mul
 from rbjax.lanes import total as sum_of
 
