@@ -4,6 +4,7 @@ beams         `Beam`, which `Model.with_beam` adds to a robot
 elasticity    elastic and viscous forces of a beam
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
+modal/        elastic bodies of any shape, by modes in a floating frame
 """
 
 from rbjax.flexible.beams import Beam, beam

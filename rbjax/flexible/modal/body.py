@@ -1,0 +1,244 @@
+"""The record of a modal body: the numbers of an elastic body whose deformation is a sum of modes.
+
+The deformation is u = U q in a floating frame. With the twist (w, v) of this frame the kinetic
+energy is that of a Taylor expansion (Shabana, *Dynamics of Multibody Systems*, ch. 5; Schwertassek
+& Wallrapp, *Dynamik flexibler Mehrkörpersysteme*, ch. 6):
+
+    T = (w.J w + 2 w.(h x v) + m v.v) / 2 + sum_j (c_j.w + l_j.v) q_j' + q'.M q' / 2
+    h   = h0 + sum_j h1_j q_j + sum_jk h2_jk q_j q_k / 2      first moment
+    J   = J0 + sum_j J1_j q_j + sum_jk J2_jk q_j q_k          inertia about the origin
+    c_j = c0_j + sum_k c1_jk q_k                              angular momentum of a unit rate
+    l_j = h1_j + sum_k h2_jk q_k                              linear momentum of a unit rate
+
+h2 and parts of J2 and c1 are second-order displacements: they are the geometric stiffening of
+`rbjax.flexible.modal.stiffening`. They are zero in a linear floating frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.model.record import Record, check_numbers, floats
+
+
+class ModalBody(Record):
+    """An elastic body of m modes with P frames, in the axes of its floating frame.
+
+    Use the functions of `rbjax.flexible.modal` that return one: `craig_bampton`, `from_points`,
+    `read_sid`, `read_mbdyn_modal`.
+
+    Fields:
+        mass: mass, kg.
+        moment: h0 (3,), kg m.
+        moment1: h1 (3, m).
+        moment2: h2 (3, m, m), symmetric in the modes.
+        inertia: J0 (3, 3), kg m^2.
+        inertia1: J1 (m, 3, 3).
+        inertia2: J2 (m, m, 3, 3), symmetric in the modes.
+        coupling: c0 (3, m).
+        coupling1: c1 (3, m, m); entry (a, j, k) is the derivative of c_j by q_k.
+        modal_mass: M (m, m).
+        stiffness: K (m, m).
+        damping: D (m, m).
+        positions: places of the frames without deformation (P, 3), m.
+        orientations: rotations of the frames without deformation (P, 3, 3), to body axes.
+        modes: displacements of the frames (P, 3, m).
+        rotation_modes: rotations of the frames (P, 3, m).
+        second_modes: second-order displacements A of the frames (P, 3, m, m): the displacement is
+            U q + q.A q / 2.
+        mode_names: m names.
+        frame_names: P names.
+
+    Raises:
+        InputError: a field has a wrong shape or a number that is not finite.
+
+    Source: Schwertassek & Wallrapp 1999, section 6.4; Shabana, sections 5.2-5.6.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.flexible.modal import from_points
+        >>> shape = np.zeros((2, 3, 1)); shape[1, 2, 0] = 1.0
+        >>> body = from_points([1.0, 2.0], [[0, 0, 0], [1, 0, 0]], shape, stiffness=[[8.0]])
+        >>> float(body.modal_mass[0, 0]), body.frequencies.round(12).tolist()
+        (2.0, [2.0])
+    """
+
+    mass: jax.Array = eqx.field(converter=floats)
+    moment: jax.Array = eqx.field(converter=floats)
+    moment1: jax.Array = eqx.field(converter=floats)
+    moment2: jax.Array = eqx.field(converter=floats)
+    inertia: jax.Array = eqx.field(converter=floats)
+    inertia1: jax.Array = eqx.field(converter=floats)
+    inertia2: jax.Array = eqx.field(converter=floats)
+    coupling: jax.Array = eqx.field(converter=floats)
+    coupling1: jax.Array = eqx.field(converter=floats)
+    modal_mass: jax.Array = eqx.field(converter=floats)
+    stiffness: jax.Array = eqx.field(converter=floats)
+    damping: jax.Array = eqx.field(converter=floats)
+    positions: jax.Array = eqx.field(converter=floats)
+    orientations: jax.Array = eqx.field(converter=floats)
+    modes: jax.Array = eqx.field(converter=floats)
+    rotation_modes: jax.Array = eqx.field(converter=floats)
+    second_modes: jax.Array = eqx.field(converter=floats)
+    mode_names: tuple[str, ...] = eqx.field(static=True)
+    frame_names: tuple[str, ...] = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        for name, shape in shapes(len(self.mode_names), len(self.frame_names)).items():
+            value = getattr(self, name)
+            if not hasattr(value, "shape"):
+                continue  # a leaf that a transformation of JAX has replaced
+            if value.shape != shape:
+                raise InputError(
+                    f"ModalBody({name}=...): got the shape {value.shape}, expected {shape} for "
+                    f"{len(self.mode_names)} modes and {len(self.frame_names)} frames"
+                )
+            check_numbers(f"ModalBody({name}=...)", value, infinite=False)
+
+    @property
+    def mode_count(self) -> int:
+        """The number of modes m."""
+        return len(self.mode_names)
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Natural frequencies (m,) with the floating frame at rest, rad/s, ascending."""
+        values, _ = generalized_modes(np.asarray(self.stiffness), np.asarray(self.modal_mass))
+        return np.sqrt(np.maximum(values, 0.0))
+
+    def frame(self, name: str) -> int:
+        """Return the index of a frame.
+
+        Raises:
+            UnknownName: no frame has this name.
+        """
+        if name not in self.frame_names:
+            raise UnknownName("frame", name, self.frame_names)
+        return self.frame_names.index(name)
+
+    def with_modes(self, keep: Sequence[int]) -> ModalBody:
+        """Return the body with some of its modes, by index.
+
+        Raises:
+            InputError: an index does not exist or is repeated.
+        """
+        kept = [int(k) for k in keep]
+        if len(set(kept)) != len(kept) or any(not 0 <= k < self.mode_count for k in kept):
+            raise InputError(
+                f"with_modes: got {list(keep)}, expected different indices from 0 to "
+                f"{self.mode_count - 1}"
+            )
+        return self.transformed(
+            np.eye(self.mode_count)[:, kept], [self.mode_names[k] for k in kept]
+        )
+
+    def with_damping(self, ratio: float | Sequence[float]) -> ModalBody:
+        """Return the body with modal damping: D = M Phi diag(2 zeta omega) Phi^T M.
+
+        Args:
+            ratio: damping ratio zeta of all modes, or of each natural mode (m,), at least 0.
+
+        Raises:
+            InputError: a ratio is negative, or their number is not m.
+        """
+        zeta = (
+            np.broadcast_to(np.asarray(ratio, float), (self.mode_count,))
+            if (np.ndim(ratio) == 0 or len(np.atleast_1d(ratio)) == self.mode_count)
+            else None
+        )
+        if zeta is None or not (zeta >= 0).all():
+            raise InputError(
+                f"with_damping: got {ratio}, expected a ratio of at least 0, or {self.mode_count} "
+                "of them"
+            )
+        mass = np.asarray(self.modal_mass)
+        values, shapes_ = generalized_modes(np.asarray(self.stiffness), mass)
+        rates = 2 * zeta * np.sqrt(np.maximum(values, 0.0))
+        scaled = mass @ shapes_
+        return self.replace(damping=(scaled * rates) @ scaled.T)
+
+    def transformed(self, basis: np.ndarray, names: Sequence[str]) -> ModalBody:
+        """Return the body with the modes U B, with q = B r and a basis B (m, r) of coordinates."""
+        B = jnp.asarray(basis)
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        for name, axes in MODE_AXES.items():
+            x = fields[name]
+            for axis in axes:
+                x = jnp.moveaxis(jnp.tensordot(x, B, axes=(axis, 0)), -1, axis)
+            fields[name] = x
+        fields["mode_names"] = tuple(names)
+        return type(self)(**fields)
+
+    def kinetic_energy(self, w: jax.Array, v: jax.Array, q: jax.Array, qd: jax.Array) -> jax.Array:
+        """Compute T from the twist (w, v) of the floating frame in its axes, q (m,) and q' (m,)."""
+        h, J, c, l = self.inertia_at(q)
+        rigid = w @ J @ w + 2 * jnp.cross(w, h) @ v + self.mass * (v @ v)
+        return rigid / 2 + (w @ c + v @ l) @ qd + qd @ self.modal_mass @ qd / 2
+
+    def inertia_at(self, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Compute h (3,), J (3, 3), c (3, m) and l (3, m) at q (m,)."""
+        l = self.moment1 + self.moment2 @ q
+        h = self.moment + (self.moment1 + l) @ q / 2
+        J = self.inertia + jnp.tensordot(q, self.inertia1 + jnp.tensordot(q, self.inertia2, 1), 1)
+        return h, J, self.coupling + self.coupling1 @ q, l
+
+
+#: the axes of each field that count modes
+MODE_AXES = {
+    "moment1": (1,),
+    "moment2": (1, 2),
+    "inertia1": (0,),
+    "inertia2": (0, 1),
+    "coupling": (1,),
+    "coupling1": (1, 2),
+    "modal_mass": (0, 1),
+    "stiffness": (0, 1),
+    "damping": (0, 1),
+    "modes": (2,),
+    "rotation_modes": (2,),
+    "second_modes": (2, 3),
+}
+
+
+def shapes(m: int, P: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of a `ModalBody` of m modes and P frames."""
+    return {
+        "mass": (),
+        "moment": (3,),
+        "moment1": (3, m),
+        "moment2": (3, m, m),
+        "inertia": (3, 3),
+        "inertia1": (m, 3, 3),
+        "inertia2": (m, m, 3, 3),
+        "coupling": (3, m),
+        "coupling1": (3, m, m),
+        "modal_mass": (m, m),
+        "stiffness": (m, m),
+        "damping": (m, m),
+        "positions": (P, 3),
+        "orientations": (P, 3, 3),
+        "modes": (P, 3, m),
+        "rotation_modes": (P, 3, m),
+        "second_modes": (P, 3, m, m),
+    }
+
+
+def generalized_modes(K: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the eigenvalues (m,) and eigenvectors (m, m) of K x = s M x with X^T M X = 1."""
+    from scipy.linalg import LinAlgError, eigh
+
+    try:
+        return eigh((K + K.T) / 2, (M + M.T) / 2)
+    except LinAlgError as error:
+        raise InputError(
+            "the modal mass matrix is not positive definite: a mode has no mass, or modes are "
+            "linearly dependent; remove them with `with_modes`, and give BeamSection(rotary=...) "
+            "for the torsion of a beam"
+        ) from error

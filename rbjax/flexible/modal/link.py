@@ -1,0 +1,324 @@
+"""A modal body as a flexible link: its frames and its inertia on lanes.
+
+The coordinates q are the factors of the modes. With the angular velocity w of the floating frame,
+the linear acceleration a of its origin, and T of `rbjax.flexible.modal.body`, Lagrange's equations
+in body axes are
+
+    f_v   = m a + w' x h + sum_j l_j q_j'' + w x (w x h) + 2 w x l_j q_j' + h2_jk q_j' q_k'
+    f_w   = h x a + J w' + sum_j c_j q_j'' + w x J w
+            + sum_j q_j' (w x c_j + dJ/dq_j w) + c1_jk q_j' q_k'
+    tau_j = l_j.a + c_j.w' + M_jk q_k'' + sum_k q_k' w.(c1_jk - c1_kj) - w.(dJ/dq_j w) / 2
+
+Frame P has, with the rotation vector phi = V q and the right Jacobian J_r of SO(3):
+
+    R = exp([phi]) R0,   p = f + U q + q.A q / 2,   S_j = [R0^T J_r(phi) V_j; R^T (U_j + A_j q)]
+
+Elastic forces are not included: see `rbjax.flexible.modal.elastic_force`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.flexible.modal.body import ModalBody
+from rbjax.joints.flexible import Flexible, FrameMotion, LinkInertia
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, inner, is_zero, mul, sub, total
+from rbjax.rotations.coefficients import stumpff
+from rbjax.spatial import Force, Motion, RigidInertia, Transform
+
+#: the upper triangle of a symmetric (3, 3), in the order of `Sym3`
+UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+FIELDS = (
+    "mass",
+    "moment",
+    "moment1",
+    "moment2",
+    "inertia",
+    "inertia1",
+    "inertia2",
+    "coupling",
+    "coupling1",
+    "modal_mass",
+    "positions",
+    "orientations",
+    "modes",
+    "rotation_modes",
+    "second_modes",
+)
+
+
+@dataclass(frozen=True)
+class ModalLayout:
+    """The parameters of a `ModalLink`, in order. It is hashable and static.
+
+    Fields:
+        modes: number of modes.
+        frames: number of frames.
+        entries: field of `ModalBody` and index of each parameter. All other entries are structural
+            zeros. Symmetric fields have one entry for each pair.
+        unrotated: indices of the frames whose orientation is structurally the identity.
+    """
+
+    modes: int
+    frames: int
+    entries: tuple[tuple[str, tuple[int, ...]], ...]
+    unrotated: frozenset[int]
+
+    @classmethod
+    def of(cls, body: ModalBody, tolerance: float = 0.0) -> ModalLayout:
+        """Return the layout of the entries of a body that are not zero.
+
+        Args:
+            body: a body whose arrays are not traced.
+            tolerance: entries up to this multiple of the largest one of their array become
+                structural zeros.
+        """
+        rotations = np.asarray(body.orientations)
+        plain = frozenset(k for k, R in enumerate(rotations) if np.array_equal(R, np.eye(3)))
+        entries = []
+        for name in FIELDS:
+            x = np.abs(np.asarray(getattr(body, name)))
+            least = tolerance * x.max(initial=0.0)
+            for index in np.argwhere((x > least) | (name == "mass")):
+                at = tuple(map(int, index))
+                if not (name == "orientations" and at[0] in plain) and _canonical(name, at) == at:
+                    entries.append((name, at))
+        return cls(body.mode_count, len(body.frame_names), tuple(entries), plain)
+
+    def values(self, body: ModalBody) -> jax.Array:
+        """Return the parameters (n,) of a body. They have derivatives by all of its fields."""
+        if (body.mode_count, len(body.frame_names)) != (self.modes, self.frames):
+            raise InputError(
+                f"ModalLayout.values: got {body.mode_count} modes and {len(body.frame_names)} "
+                f"frames, expected {self.modes} and {self.frames}"
+            )
+        flat: list[Any] = []
+        for name in FIELDS:
+            at = [index for field, index in self.entries if field == name]
+            if at:
+                x = getattr(body, name)
+                flat.append(x[tuple(zip(*at, strict=True))] if x.ndim else x[None])
+        return jnp.concatenate(flat)
+
+
+class ModalLink(Flexible):
+    """A flexible link with the modes of a `ModalBody`.
+
+    Two links with the same layout are equal. Their numbers are parameters.
+
+    Args:
+        layout: the structure of the parameters.
+        values: default values of the parameters; empty for zeros.
+
+    Source: Jain & Rodriguez, JGCD 15(6), 1992; Shabana, chapter 5.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.flexible.modal import ModalLink, from_points
+        >>> shape = np.zeros((2, 3, 1)); shape[1, 2, 0] = 1.0
+        >>> body = from_points([1.0, 2.0], [[0, 0, 0], [3, 0, 0]], shape, frames=[1])
+        >>> link = ModalLink.of(body)
+        >>> link.frames([0.5], [0.0], link.defaults)[0].at
+        Vec3(3.0, 0.0, 0.5)
+    """
+
+    name = "modal"
+
+    def __init__(self, layout: ModalLayout, values: Sequence[float] = ()):
+        self.layout = layout
+        self.coordinates, self.count = layout.modes, layout.frames
+        values = tuple(map(float, values)) or (0.0,) * len(layout.entries)
+        self.params: Mapping[str, Any] = MappingProxyType({"numbers": values})  # type: ignore[misc]
+        super().__init__()
+
+    @classmethod
+    def of(cls, body: ModalBody, tolerance: float = 0.0) -> ModalLink:
+        """Return the link of a body, whose default parameters are the numbers of the body.
+
+        Args:
+            body: a body whose arrays are not traced.
+            tolerance: see `ModalLayout.of`.
+        """
+        layout = ModalLayout.of(body, tolerance)
+        return cls(layout, [float(x) for x in layout.values(body)])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ModalLink) and self.layout == other.layout
+
+    def __hash__(self) -> int:
+        return hash(self.layout)
+
+    def frames(
+        self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
+    ) -> list[FrameMotion]:
+        read = _Reader(self.layout, params)
+        return [_frame(read, k, q, v) for k in range(self.count)]
+
+    def inertia(
+        self, q: Sequence[Lane], v: Sequence[Lane], w: Vec3, params: Sequence[Lane]
+    ) -> LinkInertia:
+        read, every = _Reader(self.layout, params), range(self.coordinates)
+        l1 = [read.vector("moment1", j) for j in every]
+        l = [_sum(l1[j], (read.vector("moment2", j, k) * q[k] for k in every)) for j in every]
+        c1 = [[read.vector("coupling1", j, k) for k in every] for j in every]
+        c = [_sum(read.vector("coupling", j), (c1[j][k] * q[k] for k in every)) for j in every]
+        J1 = [read.symmetric("inertia1", j) for j in every]
+        half = [
+            _sum(J1[j], (read.symmetric("inertia2", j, k) * q[k] for k in every)) for j in every
+        ]
+        h = _sum(
+            read.vector("moment"), ((a + b) * mul(0.5, x) for a, b, x in zip(l1, l, q, strict=True))
+        )
+        J = _sum(read.symmetric("inertia"), (s * x for s, x in zip(half, q, strict=True)))
+        # dJ/dq_j w = (J1_j + 2 J2_jk q_k) w
+        turned = [(half[j] + half[j] - J1[j]) @ w for j in every]
+        ang, lin = Vec3.zero(), Vec3.zero()
+        for j in every:
+            ang = ang + (w.cross(c[j]) + turned[j]) * v[j]
+            lin = lin + w.cross(l[j]) * mul(2.0, v[j])
+            for k in every:
+                rate = mul(v[j], v[k])
+                ang, lin = ang + c1[j][k] * rate, lin + read.vector("moment2", j, k) * rate
+        forces = [
+            sub(
+                total(mul(v[k], w.dot(c1[j][k] - c1[k][j])) for k in every if k != j),
+                mul(0.5, w.dot(turned[j])),
+            )
+            for j in every
+        ]
+        return LinkInertia(
+            RigidInertia(read("mass"), h, J),
+            tuple(Force(a, b) for a, b in zip(c, l, strict=True)),
+            tuple(tuple(read("modal_mass", j, k) for k in every) for j in every),
+            Force(ang, lin),
+            tuple(forces),
+        )
+
+
+class _Reader:
+    """The parameters of a layout by field and index; other entries are structural zeros."""
+
+    def __init__(self, layout: ModalLayout, params: Sequence[Lane]):
+        if len(params) != len(layout.entries):
+            raise InputError(
+                f"ModalLink: got {len(params)} parameters, expected {len(layout.entries)}, as "
+                "`ModalLayout.values` returns them"
+            )
+        self.values = dict(zip(layout.entries, params, strict=True))
+        self.unrotated = layout.unrotated
+
+    def __call__(self, name: str, *index: int) -> Lane:
+        return self.values.get((name, _canonical(name, index)), 0.0)
+
+    def vector(self, name: str, *index: int) -> Vec3:
+        return Vec3(*(self(name, a, *index) for a in range(3)))
+
+    def at_frame(self, name: str, k: int, *index: int) -> Vec3:
+        return Vec3(*(self(name, k, a, *index) for a in range(3)))
+
+    def symmetric(self, name: str, *index: int) -> Sym3:
+        return Sym3(*(self(name, *index, a, b) for a, b in UPPER))
+
+    def orientation(self, k: int) -> Mat3:
+        if k in self.unrotated:
+            return Mat3.identity()
+        return Mat3(*(self("orientations", k, a, b) for a in range(3) for b in range(3)))
+
+
+def _canonical(name: str, at: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the index that stands for an entry of a symmetric field."""
+    if name in ("modal_mass", "inertia"):
+        return tuple(sorted(at))
+    if name in ("moment2", "second_modes"):
+        return (*at[:-2], *sorted(at[-2:]))
+    if name == "inertia1":
+        return (at[0], *sorted(at[1:]))
+    if name == "inertia2":
+        return (*sorted(at[:2]), *sorted(at[2:]))
+    return at
+
+
+def _sum(start: Any, terms: Any) -> Any:
+    for term in terms:
+        start = start + term
+    return start
+
+
+def _frame(read: _Reader, k: int, q: Sequence[Lane], v: Sequence[Lane]) -> FrameMotion:
+    every = range(len(q))
+    V = [read.at_frame("rotation_modes", k, j) for j in every]
+    U = [read.at_frame("modes", k, j) for j in every]
+    A = [[read.at_frame("second_modes", k, i, j) for j in every] for i in every]
+    moved = [_sum(U[j], (A[j][i] * q[i] for i in every)) for j in every]
+    p = _sum(
+        read.at_frame("positions", k),
+        ((a + b) * mul(0.5, x) for a, b, x in zip(U, moved, q, strict=True)),
+    )
+    phi = _sum(Vec3.zero(), (a * x for a, x in zip(V, q, strict=True)))
+    rate = _sum(Vec3.zero(), (a * x for a, x in zip(V, v, strict=True)))
+    turn, right, drift = _rotation(phi, rate)
+    R0 = read.orientation(k)
+    R, E0 = turn @ R0, R0.T
+    E = R.T
+    axes = [Motion(E0 @ right(a), E @ b) for a, b in zip(V, moved, strict=True)]
+    twist = _sum(Motion.zero(), (s * x for s, x in zip(axes, v, strict=True)))
+    bend = Vec3.zero()
+    for i in every:
+        for j in every:
+            bend = bend + A[i][j] * mul(v[i], v[j])
+    return FrameMotion.at_pose(Transform(R, p), axes, twist, Motion(E0 @ drift, E @ bend))
+
+
+def _rotation(phi: Vec3, rate: Vec3) -> tuple[Mat3, Any, Vec3]:
+    """Compute exp([phi]), the map a -> J_r(phi) a, and the rate of J_r along `rate`, times `rate`.
+
+    J_r a = a - c2 phi x a + c3 phi x (phi x a), with Stumpff's functions c_k of |phi|^2.
+    """
+    x = phi.dot(phi)
+    c1, c2, c3, c4, c5 = _stumpff(x)
+    turn = _rotation_matrix(phi, x, c1, c2)
+
+    def right(a: Vec3) -> Vec3:
+        b = phi.cross(a)
+        return a - b * c2 + phi.cross(b) * c3
+
+    side, along = phi.cross(rate), phi.dot(rate)
+    twice = phi.cross(side)
+    drift = (
+        side * mul(along, sub(c3, mul(2.0, c4)))
+        + twice * mul(along, sub(mul(3.0, c5), c4))
+        + rate.cross(side) * c3
+    )
+    return turn, right, drift
+
+
+def _stumpff(x: Lane) -> list[Lane]:
+    """Compute c_1 to c_5 of x; they are literals if x is a structural zero."""
+    if is_zero(x):
+        return [1.0 / math.factorial(k) for k in range(1, 6)]
+    return stumpff(jnp.asarray(x), 1, 2, 3, 4, 5)
+
+
+def _rotation_matrix(phi: Vec3, x: Lane, c1: Lane, c2: Lane) -> Mat3:
+    """Compute exp([phi]) = 1 + c1 [phi] + c2 (phi phi^T - |phi|^2 1)."""
+    if is_zero(x):
+        return Mat3.identity()
+    skew = list(Mat3.skew(phi))
+    out = []
+    for n in range(9):
+        i, j = divmod(n, 3)
+        if i == j:
+            others = inner(*[[phi[k] for k in range(3) if k != i]] * 2)
+            out.append(sub(1.0, mul(c2, others)))
+        else:
+            out.append(add(mul(c1, skew[n]), mul(c2, mul(phi[i], phi[j]))))
+    return Mat3(*out)

@@ -1,0 +1,230 @@
+"""Elastic solids of linear (4 nodes) or quadratic (10 nodes) tetrahedra, isotropic, with mass.
+
+    K = int B^T C B dV,   M = int rho N^T N dV
+    sigma = lambda tr(eps) 1 + 2 mu eps,   K_g = int sigma_ab dN_i/dx_a dN_j/dx_b dV
+
+(Zienkiewicz & Taylor, *The Finite Element Method*, vol. 1). Linear tetrahedra are far too stiff in
+bending: use quadratic ones. Integration is by products of Gauss-Jacobi rules.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.flexible.modal.finite_elements import FiniteElements, quadratic_form
+
+#: nodes at the ends of the edge of each middle node 4 to 9, as in VTK and Abaqus
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+
+
+def tetrahedral_mesh(
+    nodes: Any, tetrahedra: Any, *, E: float, poisson: float, density: float
+) -> FiniteElements:
+    """Create an elastic solid of tetrahedra.
+
+    Args:
+        nodes: (n, 3), m.
+        tetrahedra: indices of the nodes of each element, (e, 4) or (e, 10). The first four are the
+            corners, and the others the middles of the edges 01, 12, 02, 03, 13, 23.
+        E: Young's modulus, Pa.
+        poisson: Poisson's ratio, from 0 to less than 0.5.
+        density: kg/m^3.
+
+    Raises:
+        InputError: shapes do not fit, a constant is out of its range, a node belongs to no element,
+            or an element has no positive volume.
+
+    Source: Zienkiewicz & Taylor, vol. 1.
+
+    Example:
+        >>> from rbjax.flexible.modal import box_mesh, tetrahedral_mesh
+        >>> box = box_mesh((1, 1, 1), (1, 1, 1))
+        >>> block = tetrahedral_mesh(*box, E=1e9, poisson=0.3, density=2.0)
+        >>> round(float(block.masses.sum()), 12)
+        2.0
+    """
+    x, cells = np.asarray(nodes, float), np.asarray(tetrahedra)
+    _check(x, cells, E, poisson, density)
+    quadratic = cells.shape[1] == 10
+    mu, lam = E / (2 + 2 * poisson), E * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+    gradients, volume, _ = _sample(x, cells, 2 if quadratic else 1)
+    B = np.zeros((*gradients.shape[:2], 6, cells.shape[1], 3))
+    for a in range(3):
+        B[:, :, a, :, a] = gradients[..., a]
+    for row, (a, b) in enumerate(((0, 1), (1, 2), (0, 2)), 3):
+        B[:, :, row, :, a], B[:, :, row, :, b] = gradients[..., b], gradients[..., a]
+    strain = _assemble(B, cells, len(x))
+    C = np.diag([2 * mu] * 3 + [mu] * 3)
+    C[:3, :3] += lam
+    from scipy import sparse
+
+    w = volume.ravel()
+    K = sparse.csr_matrix(strain.T @ sparse.kron(sparse.diags(w), C, "csr") @ strain)
+
+    _, dm, N = _sample(x, cells, 3 if quadratic else 2)
+    masses = density * dm.ravel()
+    spread = np.zeros((*dm.shape, 3, cells.shape[1], 3))
+    for a in range(3):
+        spread[:, :, a, :, a] = N
+    D = _assemble(spread, cells, len(x))
+    slope = np.zeros((*volume.shape, 9, cells.shape[1], 3))
+    for a in range(3):
+        for b in range(3):
+            slope[:, :, 3 * b + a, :, b] = gradients[..., a]
+    G = _assemble(slope, cells, len(x))
+
+    def prestress(u: np.ndarray) -> Any:
+        s = (strain @ u).reshape(-1, 6) @ C * w[:, None]
+        stress = s[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
+        return sparse.csr_matrix(G.T @ _blocks(np.repeat(stress, 3, axis=0)) @ G)
+
+    places = np.einsum("gn,ena->ega", N, x[cells]).reshape(-1, 3)
+    return FiniteElements(
+        x, quadratic_form(D, np.repeat(masses, 3)), K, masses, places, D, prestress=prestress
+    )
+
+
+def box_mesh(
+    size: Any, divisions: Any, quadratic: bool = False, corner: Any = (0.0, 0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes (n, 3) and tetrahedra (e, 4) or (e, 10) of a box, six for each cell.
+
+    Args:
+        size: lengths of the box (3,), m.
+        divisions: cells along each axis (3,), at least 1.
+        quadratic: add nodes at the middles of the edges.
+        corner: corner of the box with the smallest coordinates (3,), m.
+
+    Raises:
+        InputError: a length or a number of cells is not positive.
+
+    Example:
+        >>> nodes, cells = box_mesh((1.0, 1.0, 2.0), (1, 1, 2))
+        >>> nodes.shape, cells.shape
+        ((12, 3), (12, 4))
+    """
+    from itertools import permutations
+
+    size, count = np.asarray(size, float), np.asarray(divisions, int)
+    if size.shape != (3,) or count.shape != (3,) or not ((size > 0).all() and (count > 0).all()):
+        raise InputError(
+            f"box_mesh: got the size {size.tolist()} and divisions {count.tolist()}, expected "
+            "three lengths and three integers above zero"
+        )
+    axes = [np.linspace(c, c + s, k + 1) for c, s, k in zip(corner, size, count, strict=True)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    index = np.arange(len(nodes)).reshape(count + 1)
+    cells = []
+    for order in permutations(range(3)):
+        at, path = np.zeros(3, int), []
+        for step in (None, *order):
+            if step is not None:
+                at = at + np.eye(3, dtype=int)[step]
+            part = tuple(slice(a, a + k) for a, k in zip(at, count, strict=True))
+            path.append(index[part].ravel())
+        if np.linalg.det(np.eye(3)[list(order)]) < 0:
+            path[1], path[2] = path[2], path[1]
+        cells.append(np.stack(path, 1))
+    corners = np.concatenate(cells)
+    return with_middle_nodes(nodes, corners) if quadratic else (nodes, corners)
+
+
+def with_middle_nodes(nodes: Any, tetrahedra: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes and 10-node tetrahedra with nodes at the middles of the edges of (e, 4)."""
+    x, cells = np.asarray(nodes, float), np.asarray(tetrahedra)
+    pairs = np.sort(np.stack([cells[:, edge] for edge in EDGES], 1), -1).reshape(-1, 2)
+    edges, where = np.unique(pairs, axis=0, return_inverse=True)
+    middle = len(x) + where.reshape(len(cells), 6)
+    return np.concatenate([x, x[edges].mean(1)]), np.concatenate([cells, middle], 1)
+
+
+def _check(x: np.ndarray, cells: np.ndarray, E: float, poisson: float, density: float) -> None:
+    if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
+        raise InputError(
+            f"tetrahedral_mesh: nodes have the shape {x.shape}, expected finite numbers (n, 3)"
+        )
+    if cells.ndim != 2 or cells.shape[1] not in (4, 10) or cells.dtype.kind not in "iu":
+        raise InputError(
+            f"tetrahedral_mesh: tetrahedra have the shape {cells.shape} and the type "
+            f"{cells.dtype}, expected integers (e, 4) or (e, 10)"
+        )
+    if cells.min() < 0 or cells.max() >= len(x):
+        raise InputError(
+            f"tetrahedral_mesh: indices from {cells.min()} to {cells.max()}, expected 0 to "
+            f"{len(x) - 1}"
+        )
+    unused = np.setdiff1d(np.arange(len(x)), cells)
+    if unused.size:
+        raise InputError(
+            f"tetrahedral_mesh: {unused.size} nodes belong to no element, such as node "
+            f"{unused[0]}; remove them"
+        )
+    if not (E > 0 and density > 0 and 0 <= poisson < 0.5):
+        raise InputError(
+            f"tetrahedral_mesh: got E = {E:g}, density {density:g} and Poisson's ratio "
+            f"{poisson:g}; expected numbers above zero and a ratio from 0 to less than 0.5"
+        )
+
+
+def _rule(k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return barycentric points (g, 4) and weights of a rule of degree 2 k - 1 on a tetrahedron."""
+    from scipy.special import roots_jacobi
+
+    rules = [roots_jacobi(k, a, 0) for a in (2, 1, 0)]
+    (a, wa), (b, wb), (c, wc) = [
+        ((x + 1) / 2, w / 2 ** (p + 1)) for (x, w), p in zip(rules, (2, 1, 0), strict=True)
+    ]
+    A, B, C = np.meshgrid(a, b, c, indexing="ij")
+    x, y, z = A, B * (1 - A), C * (1 - A) * (1 - B)
+    w = np.einsum("i,j,k->ijk", wa, wb, wc)
+    return np.stack([1 - x - y - z, x, y, z], -1).reshape(-1, 4), w.ravel()
+
+
+def _sample(x: np.ndarray, cells: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return gradients (e, g, n, 3), volumes (e, g) and shape functions (g, n) at the points."""
+    L, weight = _rule(k)
+    rate = np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # dL / d(x, y, z)
+    if cells.shape[1] == 4:
+        N, dN = L, np.broadcast_to(rate, (len(L), 4, 3))
+    else:
+        i, j = np.array(EDGES).T
+        N = np.concatenate([L * (2 * L - 1), 4 * L[:, i] * L[:, j]], 1)
+        corner = (4 * L - 1)[..., None] * rate
+        edge = 4 * (L[:, i, None] * rate[j] + L[:, j, None] * rate[i])
+        dN = np.concatenate([corner, edge], 1)
+    jacobian = np.einsum("gnb,ena->egab", dN, x[cells])
+    volume = np.linalg.det(jacobian)
+    scale = np.ptp(x[cells], axis=1).max(1)[:, None] ** 3
+    if not (volume > 1e-10 * scale).all():
+        at = int(np.argmin((volume / scale).min(1)))
+        raise InputError(
+            f"tetrahedral_mesh: element {at} has the volume {volume[at].min() / 6:.3g}, expected "
+            "more than zero; exchange two of its corners if it is negative"
+        )
+    gradients = np.einsum("gnb,egba->egna", dN, np.linalg.inv(jacobian))
+    return gradients, volume * weight, N
+
+
+def _assemble(rows: np.ndarray, cells: np.ndarray, n: int) -> Any:
+    """Assemble rows (e, g, k, nodes, 3) to a sparse matrix (e g k, 3 n)."""
+    from scipy import sparse
+
+    e, g, k, nodes, _ = rows.shape
+    own = (cells[:, :, None] * 3 + np.arange(3)).reshape(e, 1, 1, 3 * nodes)
+    columns = np.broadcast_to(own, (e, g, k, 3 * nodes)).ravel()
+    where = np.repeat(np.arange(e * g * k), 3 * nodes)
+    out = sparse.csr_matrix((rows.ravel(), (where, columns)), (e * g * k, 3 * n))
+    out.eliminate_zeros()
+    return out
+
+
+def _blocks(blocks: np.ndarray) -> Any:
+    """Return a sparse block-diagonal matrix of blocks (b, 3, 3)."""
+    from scipy import sparse
+
+    b = len(blocks)
+    return sparse.bsr_matrix((blocks, np.arange(b), np.arange(b + 1)), (3 * b, 3 * b)).tocsr()
