@@ -9,6 +9,8 @@ tetrahedra            solids of linear or quadratic tetrahedra
 interfaces            node sets whose averaged motion is the motion of a frame
 reduction             Craig-Bampton reduction of finite elements to a modal body
 stiffening            geometric stiffening, elastic forces, check of fast rotation
+sid                   standard input data of flexible bodies, as text or as a structure
+mbdyn_modal           MBDyn's modal format
 """
 
 from rbjax.flexible.modal.beam_elements import BeamSection, beam_mesh
@@ -17,7 +19,9 @@ from rbjax.flexible.modal.finite_elements import FiniteElements
 from rbjax.flexible.modal.interfaces import Interface
 from rbjax.flexible.modal.invariants import InertiaInvariants, from_points, inertia_invariants
 from rbjax.flexible.modal.link import ModalLayout, ModalLink
+from rbjax.flexible.modal.mbdyn_modal import MBDynModal, read_mbdyn_modal
 from rbjax.flexible.modal.reduction import craig_bampton
+from rbjax.flexible.modal.sid import from_sid, read_sid, write_sid
 from rbjax.flexible.modal.stiffening import (
     FastRotation,
     elastic_force,
@@ -32,6 +36,7 @@ __all__ = [
     "FiniteElements",
     "InertiaInvariants",
     "Interface",
+    "MBDynModal",
     "ModalBody",
     "ModalLayout",
     "ModalLink",
@@ -41,8 +46,12 @@ __all__ = [
     "elastic_force",
     "fast_rotation",
     "from_points",
+    "from_sid",
     "inertia_invariants",
+    "read_mbdyn_modal",
+    "read_sid",
     "stiffness_in_motion",
     "tetrahedral_mesh",
     "with_middle_nodes",
+    "write_sid",
 ]
