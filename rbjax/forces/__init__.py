@@ -5,6 +5,7 @@ from rbjax.forces.context import Context, Frame, JointState, on_each
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid import EllipsoidFluid, InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
+from rbjax.forces.joints.cable import Cable
 from rbjax.forces.joints.curves import JointCurves
 from rbjax.forces.joints.friction import GearLoss, JointFriction
 from rbjax.forces.joints.limits import JointLimits
@@ -18,6 +19,7 @@ from rbjax.forces.tendons.paths import tendon_reach
 __all__ = [
     "Place",
     "Bushing",
+    "Cable",
     "Element",
     "EllipsoidFluid",
     "Frame",

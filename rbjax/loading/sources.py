@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 
 from rbjax.errors import ModelError, UnknownName
+from rbjax.loading.mjcf.cables import read_with_cables
 from rbjax.loading.mjcf.fields import message_of
 from rbjax.loading.urdf.inertials import write_inertials
 from rbjax.loading.urdf.reader import Mimics, read_urdf
@@ -84,6 +85,9 @@ def spec_of(source: Any) -> mujoco.MjSpec | None:
     name = describe(source)
     if is_urdf(text, name):
         return None
+    with_cables = read_with_cables(text, path, name)
+    if with_cables is not None:
+        return with_cables
     try:
         read = mujoco.MjSpec
         return read.from_string(text) if path is None else read.from_file(str(path))

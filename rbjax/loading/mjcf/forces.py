@@ -1,4 +1,4 @@
-"""Force elements of a compiled model: joints, gravity compensation, fluid.
+"""Force elements of a compiled model: joints, gravity compensation, fluid, cables.
 
 Limits and friction loss are soft constraints in MuJoCo:
 
@@ -35,6 +35,7 @@ from rbjax.forces import (
 )
 from rbjax.forces.impedance import impedance, stiffness_and_damping
 from rbjax.loading.checks import check_finite
+from rbjax.loading.mjcf.cables import cable_elements
 from rbjax.loading.mjcf.dropped import inverted_limits
 from rbjax.loading.mjcf.fields import (
     ALIGNED,
@@ -56,7 +57,7 @@ def force_elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[
         found += _limits(m)
     if friction and is_on(m, Off.mjDSBL_CONSTRAINT, Off.mjDSBL_FRICTIONLOSS):
         found += _friction(m)
-    found += [*_gravity_compensation(m), *fluid_elements(m)]
+    found += [*_gravity_compensation(m), *fluid_elements(m), *cable_elements(m)]
     for element in found:
         check_finite(element)
     return tuple(found)

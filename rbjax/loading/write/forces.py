@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.forces import (
+    Cable,
     Element,
     EllipsoidFluid,
     GravityCompensation,
@@ -20,6 +21,7 @@ from rbjax.forces import (
 )
 from rbjax.forces.actuators.actuator import Actuator
 from rbjax.forces.actuators.orientation_servo import OrientationServo
+from rbjax.loading.mjcf.cables import write_cables
 from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import Model
 
@@ -30,7 +32,7 @@ _TERMS = 2  # number of MJCF's polynomial coefficients beyond the linear one
 def write_forces(draft: Draft) -> list[Element]:
     """Write the elements; return them as `load` will read them, in that order."""
     kinds = (JointPolynomials, JointLimits, JointFriction, GravityCompensation, PointSpring,
-             InertiaBoxFluid, EllipsoidFluid)  # fmt: skip
+             InertiaBoxFluid, EllipsoidFluid, Cable)  # fmt: skip
     # only the class itself is written, as a subclass may have other forces
     sorted_out: dict[type, list] = {kind: [] for kind in kinds}
     for element in draft.model.forces:
@@ -38,14 +40,21 @@ def write_forces(draft: Draft) -> list[Element]:
             sorted_out[type(element)].append(element)
         elif type(element) not in (Actuator, OrientationServo):
             _leave_out(draft, element)
-    polynomials, limits, friction, lifted, springs, boxes, ellipsoids = sorted_out.values()
+    polynomials, limits, friction, lifted, springs, boxes, ellipsoids, cables = sorted_out.values()
     written = _write_polynomials(draft, polynomials)
     _write_limits(draft, limits)
     _write_friction(draft, friction)
     written += _write_lifted(draft, lifted)
     for spring in springs:
         _write_spring(draft, spring)
-    return written + _write_fluids(draft, boxes, ellipsoids)
+    written += _write_fluids(draft, boxes, ellipsoids)
+    cables = [dataclasses.replace(x, joints=_joints(draft.model, x)) for x in cables]
+    write_cables(draft.root, cables, draft.joint)
+    return written + cables
+
+
+def _joints(model: Model, cable: Cable) -> tuple[int, ...]:
+    return tuple(map(model.joint, cable.joints))
 
 
 def box_axes(model: Model) -> dict[int, Array]:
