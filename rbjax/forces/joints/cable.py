@@ -77,8 +77,9 @@ class Cable(Element):
         ... </body></worldbody></mujoco>''')
         >>> cable = rb.forces.Cable.of(model, ["j"], twist=8e6, bend=2e7, radius=0.01)
         >>> state = model.default_state().replace(q=jnp.array([0.8, 0.0, 0.6, 0.0]))
-        >>> rb.applied_forces(model.with_forces(cable), state).round(4).tolist()
-        [0.0, -0.2022, 0.0]
+        >>> tau = rb.applied_forces(model.with_forces(cable), state)
+        >>> bool(abs(tau[1] + 0.2022) < 1e-4)  # E I angle / L
+        True
     """
 
     twist: jax.Array
