@@ -8,6 +8,7 @@ beam_elements         frames of Euler-Bernoulli or Timoshenko elements
 tetrahedra            solids of linear or quadratic tetrahedra
 interfaces            node sets whose averaged motion is the motion of a frame
 reduction             Craig-Bampton reduction of finite elements to a modal body
+elasticity            the link and its elastic forces in a model
 stiffening            geometric stiffening, elastic forces, check of fast rotation
 sid                   standard input data of flexible bodies, as text or as a structure
 mbdyn_modal           MBDyn's modal format
@@ -15,6 +16,7 @@ mbdyn_modal           MBDyn's modal format
 
 from rbjax.flexible.modal.beam_elements import BeamSection, beam_mesh
 from rbjax.flexible.modal.body import ModalBody
+from rbjax.flexible.modal.elasticity import ModalElasticity, add_modal_body
 from rbjax.flexible.modal.finite_elements import FiniteElements
 from rbjax.flexible.modal.interfaces import Interface
 from rbjax.flexible.modal.invariants import InertiaInvariants, from_points, inertia_invariants
@@ -38,8 +40,10 @@ __all__ = [
     "Interface",
     "MBDynModal",
     "ModalBody",
+    "ModalElasticity",
     "ModalLayout",
     "ModalLink",
+    "add_modal_body",
     "beam_mesh",
     "box_mesh",
     "craig_bampton",

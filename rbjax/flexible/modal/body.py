@@ -139,6 +139,20 @@ class ModalBody(Record):
             np.eye(self.mode_count)[:, kept], [self.mode_names[k] for k in kept]
         )
 
+    def with_frames(self, names: Sequence[str]) -> ModalBody:
+        """Return the body with some of its frames, in the given order.
+
+        Raises:
+            UnknownName: no frame has this name. InputError: a name is repeated.
+        """
+        kept = [self.frame(name) for name in names]
+        if len(set(kept)) != len(kept):
+            raise InputError(f"with_frames: got {list(names)}, expected different names")
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        for name in FRAME_FIELDS:
+            fields[name] = fields[name][np.array(kept, int)]
+        return type(self)(**(fields | {"frame_names": tuple(names)}))
+
     def with_damping(self, ratio: float | Sequence[float]) -> ModalBody:
         """Return the body with modal damping: D = M Phi diag(2 zeta omega) Phi^T M.
 
@@ -190,6 +204,7 @@ class ModalBody(Record):
         return h, J, self.coupling + self.coupling1 @ q, l
 
 
+FRAME_FIELDS = ("positions", "orientations", "modes", "rotation_modes", "second_modes")
 #: the axes of each field that count modes
 MODE_AXES = {
     "moment1": (1,),

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.flexible.modal.body import ModalBody, shapes
+from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
 
 
 class InertiaInvariants(NamedTuple):
@@ -272,9 +272,6 @@ def modal_body(
     )
     labels = tuple(mode_names or (f"mode {k + 1}" for k in range(m)))
     return ModalBody(**given, mode_names=labels, frame_names=tuple(names))
-
-
-FRAME_FIELDS = ("positions", "orientations", "modes", "rotation_modes", "second_modes")
 
 
 def _array(name: str, x: Any, shape: tuple[int | None, ...]) -> np.ndarray:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.flexible.modal.body import ModalBody, shapes
+from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
 
 #: pairs of angular velocities, in the order of the columns of Oe and of J with six rows
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -119,10 +119,7 @@ def from_sid(sid: Any) -> ModalBody:
     h2 = Ct1.transpose(1, 0, 2)
     P = len(sid.frame)
     empty = shapes(m, P)
-    arrays = {
-        k: np.zeros(empty[k])
-        for k in ("positions", "orientations", "modes", "rotation_modes", "second_modes")
-    }
+    arrays = {k: np.zeros(empty[k]) for k in FRAME_FIELDS}
     for k, node in enumerate(sid.frame):
         arrays["positions"][k] = block(node, ("origin",), 3, 1)[0][:, 0]
         phi, phi1 = block(node, ("phi",), 3, m)
