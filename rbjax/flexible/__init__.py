@@ -5,6 +5,7 @@ elasticity    elastic and viscous forces of a beam
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
 modal/        elastic bodies of any shape, by modes in a floating frame
+reference/    beams of the literature: lumped chains, nodal elements
 """
 
 from rbjax.flexible.beams import Beam, beam
