@@ -8,6 +8,7 @@ modal/        elastic bodies of any shape, by modes in a floating frame
 reference/    beams of the literature: lumped chains, nodal elements
 """
 
+from rbjax.flexible import modal
 from rbjax.flexible.beams import Beam, beam
 from rbjax.flexible.cross_section import Section, circle, ellipse, rectangle, section, tube
 from rbjax.flexible.elasticity import BeamElasticity
@@ -19,6 +20,7 @@ __all__ = [
     "beam",
     "circle",
     "ellipse",
+    "modal",
     "rectangle",
     "section",
     "tube",

@@ -18,15 +18,18 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.flexible.cross_section import Section
 from rbjax.flexible.modal.finite_elements import FiniteElements, quadratic_form
 
 #: points of an element: products of two cubic functions and a linear section have degree 7
 POINTS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BeamSection:
     """The section of a beam in its principal axes: x along the beam, y and z across.
+
+    Use it for tapered beams, and for beams without shear. `rbjax.flexible.Section` has the others.
 
     Each field is a number, or an array with one number for each node (n,), or for both ends of each
     element (e, 2).
@@ -41,8 +44,8 @@ class BeamSection:
 
     Example:
         >>> from rbjax.flexible.modal import BeamSection
-        >>> BeamSection.rectangle(0.1, 0.2, E=2e11, density=7800).mass
-        156.00000000000003
+        >>> BeamSection(EA=1e6, EIy=10.0, EIz=10.0, GJ=8.0, mass=[2.0, 1.5, 1.0]).rotary
+        (0.0, 0.0, 0.0)
     """
 
     EA: Any
@@ -54,53 +57,16 @@ class BeamSection:
     GAz: Any = None
     rotary: tuple[Any, Any, Any] = (0.0, 0.0, 0.0)
 
-    @classmethod
-    def rectangle(
-        cls,
-        width: float,
-        height: float,
-        *,
-        E: float,
-        density: float,
-        poisson: float = 0.3,
-        shear_factor: float | None = 5 / 6,
-    ) -> BeamSection:
-        """Return the section of a rectangle, with `width` along y and `height` along z.
-
-        Args:
-            width, height: sides, m.
-            E: Young's modulus, Pa.
-            density: kg/m^3.
-            poisson: Poisson's ratio.
-            shear_factor: 5/6 for a rectangle; None for an Euler-Bernoulli beam without shear and
-                rotary inertia of bending.
-
-        Source: torsion constant of Roark, *Formulas for Stress and Strain*, table 10.1.
-        """
-        b, h = float(width), float(height)
-        if not (b > 0 and h > 0 and E > 0 and density > 0):
-            raise InputError(
-                f"BeamSection.rectangle: got sides {b:g} and {h:g}, E = {E:g}, density "
-                f"{density:g}; expected numbers above zero"
-            )
-        A, Iy, Iz, G = b * h, b * h**3 / 12, h * b**3 / 12, E / (2 + 2 * poisson)
-        long, short = max(b, h), min(b, h)
-        t = short / long
-        J = long * short**3 * (1 / 3 - 0.21 * t * (1 - t**4 / 12))
-        shear = None if shear_factor is None else shear_factor * G * A
-        bending = (0.0, 0.0) if shear is None else (density * Iy, density * Iz)
-        rotary = (density * (Iy + Iz), *bending)
-        return cls(E * A, E * Iy, E * Iz, G * J, density * A, shear, shear, rotary)
-
 
 def beam_mesh(
-    nodes: Any, section: BeamSection, elements: Any = None, y_axis: Any = None
+    nodes: Any, section: BeamSection | Section, elements: Any = None, y_axis: Any = None
 ) -> FiniteElements:
     """Create a frame of beam elements.
 
     Args:
         nodes: (n, 3), m.
-        section: the section of the elements.
+        section: the section of the elements; or a `rbjax.flexible.Section` whose stiffness is
+            diagonal, for elements with shear.
         elements: indices of the nodes of each element (e, 2); None for a chain.
         y_axis: direction (3,) or (e, 3) whose part across an element is its y axis; None for the
             global axis that is the most perpendicular to each element.
@@ -119,6 +85,8 @@ def beam_mesh(
     """
     from scipy import sparse
 
+    if isinstance(section, Section):
+        section = _from_section(section)
     x = np.asarray(nodes, float)
     if x.ndim != 2 or x.shape[1:] != (3,) or len(x) < 2:
         raise InputError(f"beam_mesh: nodes have the shape {x.shape}, expected (n, 3) with n >= 2")
@@ -196,6 +164,18 @@ def beam_mesh(
         return quadratic_form(G, np.repeat(EA * (axial @ u) * w, 2))
 
     return FiniteElements(x, sparse.csr_matrix(M), K, masses, places, D, T, J, prestress)
+
+
+def _from_section(given: Section) -> BeamSection:
+    """Convert a section of one beam, with its strains in the order k_x, k_y, k_z, e_x, g_y, g_z."""
+    C = np.asarray(given.stiffness)
+    if C.shape != (6, 6) or np.any(C * (1 - np.eye(6))) or given.eccentric:
+        raise InputError(
+            "beam_mesh: the section has a coupled or tapered stiffness, or its mass centre is off "
+            "the line; expected one diagonal stiffness; give a BeamSection for a tapered beam"
+        )
+    GJ, EIy, EIz, EA, GAy, GAz = np.diagonal(C).tolist()
+    return BeamSection(EA, EIy, EIz, GJ, given.mass, GAy, GAz, tuple(np.asarray(given.inertia)))
 
 
 def _element_axes(t: np.ndarray, y_axis: Any) -> np.ndarray:

@@ -31,7 +31,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import ModalBody
 from rbjax.joints.flexible import Flexible, FrameMotion, LinkInertia
-from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, inner, is_zero, mul, sub, total
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, inner, is_zero, mul, sub
 from rbjax.rotations.coefficients import stumpff
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
@@ -46,7 +46,8 @@ FIELDS = (
     "inertia1",
     "inertia2",
     "coupling",
-    "coupling1",
+    "gyroscopic",
+    "turning",
     "modal_mass",
     "positions",
     "orientations",
@@ -64,7 +65,8 @@ class ModalLayout:
         modes: number of modes.
         frames: number of frames.
         entries: field of `ModalBody` and index of each parameter. All other entries are structural
-            zeros. Symmetric fields have one entry for each pair.
+            zeros. Symmetric fields have one entry for each pair. `coupling1` is the sum of its
+            antisymmetric part "gyroscopic" and its symmetric part "turning".
         unrotated: indices of the frames whose orientation is structurally the identity.
     """
 
@@ -85,9 +87,11 @@ class ModalLayout:
         rotations = np.asarray(body.orientations)
         plain = frozenset(k for k, R in enumerate(rotations) if np.array_equal(R, np.eye(3)))
         entries = []
+        arrays = _arrays(body)
         for name in FIELDS:
-            x = np.abs(np.asarray(getattr(body, name)))
-            least = tolerance * x.max(initial=0.0)
+            x = np.abs(np.asarray(arrays[name]))
+            own = body.coupling1 if name in ("gyroscopic", "turning") else x
+            least = tolerance * np.abs(np.asarray(own)).max(initial=0.0)
             for index in np.argwhere((x > least) | (name == "mass")):
                 at = tuple(map(int, index))
                 if not (name == "orientations" and at[0] in plain) and _canonical(name, at) == at:
@@ -102,10 +106,11 @@ class ModalLayout:
                 f"frames, expected {self.modes} and {self.frames}"
             )
         flat: list[Any] = []
+        arrays = _arrays(body)
         for name in FIELDS:
             at = [index for field, index in self.entries if field == name]
             if at:
-                x = getattr(body, name)
+                x = arrays[name]
                 flat.append(x[tuple(zip(*at, strict=True))] if x.ndim else x[None])
         return jnp.concatenate(flat)
 
@@ -167,34 +172,41 @@ class ModalLink(Flexible):
         self, q: Sequence[Lane], v: Sequence[Lane], w: Vec3, params: Sequence[Lane]
     ) -> LinkInertia:
         read, every = _Reader(self.layout, params), range(self.coordinates)
-        l1 = [read.vector("moment1", j) for j in every]
-        l = [_sum(l1[j], (read.vector("moment2", j, k) * q[k] for k in every)) for j in every]
-        c1 = [[read.vector("coupling1", j, k) for k in every] for j in every]
-        c = [_sum(read.vector("coupling", j), (c1[j][k] * q[k] for k in every)) for j in every]
-        J1 = [read.symmetric("inertia1", j) for j in every]
-        half = [
-            _sum(J1[j], (read.symmetric("inertia2", j, k) * q[k] for k in every)) for j in every
+        pairs = [(j, k) for j in every for k in every if j < k]
+        none, zero = Vec3.zero(), Sym3.zero()
+
+        # second-order parts of h and J along q
+        bend = [_sum(none, (read.vector("moment2", j, k) * q[k] for k in every)) for j in every]
+        curve = [
+            _sum(zero, (read.symmetric("inertia2", j, k) * q[k] for k in every)) for j in every
         ]
-        h = _sum(
-            read.vector("moment"), ((a + b) * mul(0.5, x) for a, b, x in zip(l1, l, q, strict=True))
-        )
-        J = _sum(read.symmetric("inertia"), (s * x for s, x in zip(half, q, strict=True)))
-        # dJ/dq_j w = (J1_j + 2 J2_jk q_k) w
-        turned = [(half[j] + half[j] - J1[j]) @ w for j in every]
-        ang, lin = Vec3.zero(), Vec3.zero()
+        h, J, l, turned = read.vector("moment"), read.symmetric("inertia"), [], []
         for j in every:
-            ang = ang + (w.cross(c[j]) + turned[j]) * v[j]
-            lin = lin + w.cross(l[j]) * mul(2.0, v[j])
-            for k in every:
-                rate = mul(v[j], v[k])
-                ang, lin = ang + c1[j][k] * rate, lin + read.vector("moment2", j, k) * rate
-        forces = [
-            sub(
-                total(mul(v[k], w.dot(c1[j][k] - c1[k][j])) for k in every if k != j),
-                mul(0.5, w.dot(turned[j])),
-            )
-            for j in every
-        ]
+            h1, J1 = read.vector("moment1", j), read.symmetric("inertia1", j)
+            h = h + (h1 + bend[j] * 0.5) * q[j]
+            J = J + (J1 + curve[j]) * q[j]
+            l.append(h1 + bend[j])
+            turned.append((J1 + curve[j] * 2.0) @ w)  # dJ/dq_j w
+
+        # c1_jk = g_jk + s_jk, with g_kj = -g_jk and s_kj = s_jk
+        g = {pair: read.vector("gyroscopic", *pair) for pair in pairs}
+        s = [[read.vector("turning", j, k) for k in every] for j in every]
+        c = [read.vector("coupling", j) for j in every]
+        for j in every:
+            c[j] = _sum(c[j], (s[j][k] * q[k] for k in every))
+        for (j, k), x in g.items():
+            c[j], c[k] = c[j] + x * q[k], c[k] - x * q[j]
+
+        ang, lin, forces = none, none, [mul(-0.5, w.dot(x)) for x in turned]
+        for j in every:
+            twice, square = mul(2.0, v[j]), mul(v[j], v[j])
+            ang = ang + (w.cross(c[j]) + turned[j]) * v[j] + s[j][j] * square
+            lin = lin + w.cross(l[j]) * twice + read.vector("moment2", j, j) * square
+        for j, k in pairs:
+            rate, spin = mul(2.0, mul(v[j], v[k])), mul(2.0, w.dot(g[j, k]))
+            ang, lin = ang + s[j][k] * rate, lin + read.vector("moment2", j, k) * rate
+            forces[j] = add(forces[j], mul(spin, v[k]))
+            forces[k] = sub(forces[k], mul(spin, v[j]))
         return LinkInertia(
             RigidInertia(read("mass"), h, J),
             tuple(Force(a, b) for a, b in zip(c, l, strict=True)),
@@ -234,11 +246,20 @@ class _Reader:
         return Mat3(*(self("orientations", k, a, b) for a in range(3) for b in range(3)))
 
 
+def _arrays(body: ModalBody) -> dict[str, Any]:
+    """Return the arrays of a body by the names of `FIELDS`."""
+    out = {name: getattr(body, name) for name in FIELDS if hasattr(body, name)}
+    flipped = body.coupling1.swapaxes(1, 2)
+    out["gyroscopic"] = (body.coupling1 - flipped) / 2
+    out["turning"] = (body.coupling1 + flipped) / 2
+    return out
+
+
 def _canonical(name: str, at: tuple[int, ...]) -> tuple[int, ...]:
     """Return the index that stands for an entry of a symmetric field."""
     if name in ("modal_mass", "inertia"):
         return tuple(sorted(at))
-    if name in ("moment2", "second_modes"):
+    if name in ("moment2", "second_modes", "gyroscopic", "turning"):
         return (*at[:-2], *sorted(at[-2:]))
     if name == "inertia1":
         return (at[0], *sorted(at[1:]))
@@ -258,10 +279,11 @@ def _frame(read: _Reader, k: int, q: Sequence[Lane], v: Sequence[Lane]) -> Frame
     V = [read.at_frame("rotation_modes", k, j) for j in every]
     U = [read.at_frame("modes", k, j) for j in every]
     A = [[read.at_frame("second_modes", k, i, j) for j in every] for i in every]
-    moved = [_sum(U[j], (A[j][i] * q[i] for i in every)) for j in every]
+    bent = [_sum(Vec3.zero(), (A[j][i] * q[i] for i in every)) for j in every]
+    moved = [a + b for a, b in zip(U, bent, strict=True)]
     p = _sum(
         read.at_frame("positions", k),
-        ((a + b) * mul(0.5, x) for a, b, x in zip(U, moved, q, strict=True)),
+        ((a + b * 0.5) * x for a, b, x in zip(U, bent, q, strict=True)),
     )
     phi = _sum(Vec3.zero(), (a * x for a, x in zip(V, q, strict=True)))
     rate = _sum(Vec3.zero(), (a * x for a, x in zip(V, v, strict=True)))
@@ -284,15 +306,19 @@ def _rotation(phi: Vec3, rate: Vec3) -> tuple[Mat3, Any, Vec3]:
     J_r a = a - c2 phi x a + c3 phi x (phi x a), with Stumpff's functions c_k of |phi|^2.
     """
     x = phi.dot(phi)
-    c1, c2, c3, c4, c5 = _stumpff(x)
+    c1, c2 = _stumpff(x, 1, 2)
+    (c3,) = _stumpff(x, 3)
     turn = _rotation_matrix(phi, x, c1, c2)
 
     def right(a: Vec3) -> Vec3:
         b = phi.cross(a)
         return a - b * c2 + phi.cross(b) * c3
 
-    side, along = phi.cross(rate), phi.dot(rate)
-    twice = phi.cross(side)
+    side = phi.cross(rate)
+    if all(map(is_zero, side)):
+        return turn, right, Vec3.zero()
+    c4, c5 = _stumpff(x, 4, 5)
+    along, twice = phi.dot(rate), phi.cross(side)
     drift = (
         side * mul(along, sub(c3, mul(2.0, c4)))
         + twice * mul(along, sub(mul(3.0, c5), c4))
@@ -301,11 +327,11 @@ def _rotation(phi: Vec3, rate: Vec3) -> tuple[Mat3, Any, Vec3]:
     return turn, right, drift
 
 
-def _stumpff(x: Lane) -> list[Lane]:
-    """Compute c_1 to c_5 of x; they are literals if x is a structural zero."""
+def _stumpff(x: Lane, *orders: int) -> list[Lane]:
+    """Compute c_k of x; they are literals if x is a structural zero."""
     if is_zero(x):
-        return [1.0 / math.factorial(k) for k in range(1, 6)]
-    return stumpff(jnp.asarray(x), 1, 2, 3, 4, 5)
+        return [1.0 / math.factorial(k) for k in orders]
+    return stumpff(jnp.asarray(x), *orders)
 
 
 def _rotation_matrix(phi: Vec3, x: Lane, c1: Lane, c2: Lane) -> Mat3:

@@ -6,6 +6,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.flexible import rectangle, section
 from rbjax.flexible.modal import (
     BeamSection,
     FiniteElements,
@@ -49,11 +50,11 @@ def test_cantilever_of_euler():
 def test_cantilever_of_timoshenko():
     """Steel, 1 x 0.1 x 0.1 m, shear factor 5/6: roots of the characteristic equation."""
     omega = [522.50733604, 3131.56683978, 8236.49892388, 14940.7449485]
-    section = BeamSection.rectangle(0.1, 0.1, E=2.1e11, density=7800)
+    steel = rectangle(0.1, 0.1, E=2.1e11, nu=0.3, density=7800.0, shear=5 / 6)
     found = [
         errors(
             craig_bampton(
-                beam_mesh(line(n, 1.0), section), [Interface("root", [0])], 16, frame="root"
+                beam_mesh(line(n, 1.0), steel), [Interface("root", [0])], 16, frame="root"
             ),
             omega,
         )
@@ -64,6 +65,19 @@ def test_cantilever_of_timoshenko():
     assert (found[0] / found[1] > 3.5).all()
     # both are too high, so the error h^2 can be extrapolated
     assert np.abs((4 * found[1] - found[0]) / 3)[:2].max() < 1e-6
+
+
+def test_a_section_of_a_beam():
+    """A section of `rbjax.flexible` and the same `BeamSection`."""
+    given = rectangle(0.1, 0.2, E=2.1e11, nu=0.3, density=7800.0, shear=5 / 6)
+    GJ, EIy, EIz, EA, GAy, GAz = np.diagonal(given.stiffness)
+    own = BeamSection(EA, EIy, EIz, GJ, given.mass, GAy, GAz, tuple(np.asarray(given.inertia)))
+    one, two = (beam_mesh(line(3, 1.0), x) for x in (given, own))
+    assert abs(one.M - two.M).max() == 0 == abs(one.K - two.K).max()
+    C = np.eye(6)
+    C[0, 1] = C[1, 0] = 0.1
+    with pytest.raises(InputError, match="coupled or tapered"):
+        beam_mesh(line(3), section(C, 1.0, [2.0, 1.0, 1.0]))
 
 
 def test_free_beam_has_mean_axes():
