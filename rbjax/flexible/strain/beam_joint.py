@@ -117,6 +117,10 @@ class StrainBeam(Flexible):
         }
         super().__init__()
 
+    @property
+    def body_frame(self) -> int:
+        return self.tip
+
     def frames(
         self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
     ) -> list[FrameMotion]:
