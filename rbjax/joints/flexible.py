@@ -64,6 +64,10 @@ class FrameMotion(NodeMotion):
             pose.R, pose.p, zero, twist.ang, 0.0, twist.lin, bias, zero, tuple(axes), own
         )  # fmt: skip
 
+    @property
+    def frame_axes(self) -> tuple[Motion, ...]:
+        return self.axes
+
     def inertia(self, dof: Placed) -> RigidInertia:
         return dof.inertia + self.own
 
@@ -191,6 +195,10 @@ class CoordinateMotion(JointMotion):
     v: tuple[Lane, ...]
     params: tuple[Lane, ...]
 
+    @property
+    def coordinate_of(self) -> Flexible:
+        return self.joint
+
     def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
         own = self.link_inertia(Vec3.zero())
         if own is None:
@@ -232,6 +240,10 @@ class FrameKind(DofKind):
 
     def __init__(self, joint: Flexible):
         self.joint = joint
+
+    def motions(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> Sequence[FrameMotion]:
+        """Compute the motions of all frames of the link, from its coordinates and their rates."""
+        return self.joint.frames(q, v, dof.params[: len(self.joint.defaults)])
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
         raise NotImplementedError("Flexible.frames computes the motions of all frames of a link")

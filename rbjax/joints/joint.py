@@ -76,6 +76,16 @@ class JointMotion:
         """
         return self.modal.velocity_forces(self.modal_slope, w, self.qd)
 
+    @property
+    def frame_axes(self) -> tuple[Motion, ...] | None:
+        """The axis of a frame of a flexible link for each coordinate; None at other links."""
+        return None
+
+    @property
+    def coordinate_of(self) -> Any:
+        """The flexible link of which the dof is a coordinate, or None."""
+        return None
+
     def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
         """Compute the acceleration of the frame relative to its parent from joint accelerations.
 
@@ -204,6 +214,12 @@ class PosedJoint:
 
     def __init__(self, motion: JointMotion, dof: Placed):
         self._motion, self.pose = motion, motion.transform(dof)
+
+    @property
+    def recomputed(self) -> Any:
+        """The lanes that loops compute again instead of storing them: the pose, and the axes of a
+        frame of a flexible link."""
+        return self.pose, self._motion.frame_axes
 
     def transform(self, dof: Placed) -> Transform:
         """Return the pose of the frame in its parent."""

@@ -2,6 +2,7 @@
 
 from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.frame import Frame
+from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import (
     LinkConstants,
     Prepared,
@@ -12,7 +13,7 @@ from rbjax.model.links import (
 from rbjax.model.model import DRIVER_NAMES, Model
 from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.state import State
-from rbjax.model.topology import WORLD, Dof, Group, Partition, Topology, partition, spans
+from rbjax.model.topology import WORLD, Dof, Topology, spans
 
 __all__ = [
     "DRIVER_NAMES",

@@ -8,9 +8,6 @@ carries them.
 The frames of a flexible link (`rbjax.joints.Flexible`) are links without a dof. Their indices
 follow those of the dofs.
 
-A *limb* is the subtree of a joint whose parent link is the world or has several children. Limbs
-with equal trees of joint kinds form a *group* and share one program. All links outside groups are
-the *trunk*. Groups are chosen greedily: the group that saves most links is chosen first.
 """
 
 from __future__ import annotations
@@ -18,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -254,80 +251,3 @@ def _moved(some: range, start: int) -> range:
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:
     return tuple(accumulate([0, *sizes]))[:-1]
-
-
-#: the number of links that a group must save
-LEAST_SAVED = 2
-
-
-class Group(NamedTuple):
-    """Limbs with equal trees. Position k is the same place in the tree of each limb."""
-
-    #: the links of each limb, parents before children
-    links: tuple[tuple[int, ...], ...]
-    #: the position of the parent of each position, WORLD for position 0
-    parents: tuple[int, ...]
-    #: the link of the trunk that carries each limb, or WORLD
-    carriers: tuple[int, ...]
-
-
-class Partition(NamedTuple):
-    """The trunk and the groups of a robot. Each link is in the trunk or in one limb."""
-
-    trunk: tuple[int, ...]
-    groups: tuple[Group, ...]
-
-    @property
-    def written(self) -> int:
-        """The number of links in a program: all of the trunk, and one limb of each group."""
-        return len(self.trunk) + sum(len(group.parents) for group in self.groups)
-
-
-@lru_cache(maxsize=256)
-def partition(top: Topology) -> Partition:
-    """Partition the links of a robot into a trunk and groups of equal limbs."""
-    children: dict[int, list[int]] = {}
-    for i, parent in enumerate(top.parents):
-        children.setdefault(parent, []).append(i)
-    numbers: dict[tuple, int] = {}  # shape of a subtree -> its number
-    shapes = [0] * top.nv
-    members: list[tuple[int, ...]] = [()] * top.nv
-    for i in reversed(range(top.nv)):
-        link = top.dofs[i]
-        below = sorted(children.get(i, ()), key=lambda k: (shapes[k], k))
-        shape = (link.spec, *(shapes[k] for k in below))
-        shapes[i] = numbers.setdefault(shape, len(numbers))
-        members[i] = (i, *(k for child in below for k in members[child]))
-
-    begins = [
-        i for i, link in enumerate(top.dofs)
-        if top.joint_v[link.joint] == i
-        and (link.parent == WORLD or len(children[link.parent]) > 1)
-    ]  # fmt: skip
-    alike: dict[int, list[int]] = {}
-    for i in begins:
-        alike.setdefault(shapes[i], []).append(i)
-
-    groups: list[Group] = []
-    taken: set[int] = set()
-    while True:
-        free = [[i for i in roots if not taken & set(members[i])] for roots in alike.values()]
-        best = max(free, key=lambda roots: _saved(roots, members), default=[])
-        if _saved(best, members) < LEAST_SAVED:
-            break
-        groups.append(_group(top, [members[i] for i in best]))
-        for i in best:
-            taken.update(members[i])
-    trunk = tuple(i for i in range(top.nv) if i not in taken)
-    return Partition(trunk, tuple(sorted(groups, key=lambda group: group.links[0][0])))
-
-
-def _saved(roots: list[int], members: list[tuple[int, ...]]) -> int:
-    """Return the number of links that a group of these limbs saves."""
-    return (len(roots) - 1) * len(members[roots[0]]) if roots else 0
-
-
-def _group(top: Topology, links: list[tuple[int, ...]]) -> Group:
-    first = links[0]
-    parents = tuple(WORLD if k == 0 else first.index(top.parents[i]) for k, i in enumerate(first))
-    return Group(tuple(links), parents, tuple(top.parents[limb[0]] for limb in links))

@@ -55,7 +55,7 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_implicit_jvp,
 )
 from rbjax.errors import ModelError
-from rbjax.joints import Block, CoordinateMotion, FrameMotion, JointMotion
+from rbjax.joints import Block, JointMotion
 from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, sub
 from rbjax.model import LinkConstants, Model, with_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
@@ -88,10 +88,10 @@ def eliminate(
 ) -> tuple[ArticulatedInertia, AnyFactor, Sequence[Column]]:
     """Eliminate a dof. Return the articulated inertia that remains across it, its factor, and the
     columns of the coordinates of a flexible link that remain."""
-    if isinstance(joint, FrameMotion):
-        return I_A, FrameFactor(X, joint.axes), columns_of_frame(joint, X, I_A)
-    if isinstance(joint, CoordinateMotion):
-        return eliminate_coordinate(link.armature, X, I_A, block, joint.joint)
+    if joint.frame_axes is not None:
+        return I_A, FrameFactor(X, joint.frame_axes), columns_of_frame(joint.frame_axes, X, I_A)
+    if joint.coordinate_of is not None:
+        return eliminate_coordinate(link.armature, X, I_A, block, joint.coordinate_of)
     S, modal = joint.S, joint.modal
     U = I_A(S) + modal.coupling
     more = add(link.armature, add(modal.mass, S.dot(modal.coupling)))
@@ -125,10 +125,9 @@ def rigid_mass(
     link: LinkConstants, joint: JointMotion, I_children: ArticulatedInertia
 ) -> Lane | None:
     """Return the mass of a link that has a hinge and no children, or None for any other link."""
-    if isinstance(joint, (FrameMotion, CoordinateMotion)):
-        return None
     tip = all(is_zero(x) for x in jax.tree.leaves((I_children, joint.S.lin)))
-    return joint.inertia(link).m if tip else None
+    rigid = joint.frame_axes is None and joint.coordinate_of is None
+    return joint.inertia(link).m if tip and rigid else None
 
 
 def aba(

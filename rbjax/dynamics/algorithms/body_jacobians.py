@@ -14,10 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers.choice import driver
-from rbjax.joints import FrameMotion
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import Mat3, Vec3, as_arrays, is_zero
-from rbjax.model import WORLD, Model, Topology
+from rbjax.model import WORLD, Model, Topology, prepare
 from rbjax.spatial import Motion, Transform
 
 #: dof -> column
@@ -34,15 +33,15 @@ def ancestor_mask(top: Topology, link: int) -> np.ndarray:
 
 def _columns(model: Model, q: jax.Array) -> list[tuple[Columns, Mat3]]:
     """Compute the columns of each link in its own axes, and its rotation."""
-    d = driver(model, q.dtype)
+    d = Unrolled(model, prepare(model, q.dtype))
     top = d.topology
 
     def outward(x: Any, parent: tuple[Columns, Mat3]) -> tuple[Any, Any]:
         link, joint, i = x
         X = joint.transform(link)
         out = {k: X(S) for k, S in parent[0].items()}
-        if isinstance(joint, FrameMotion):
-            for k, S in zip(top.links[i].v, joint.axes, strict=True):
+        if joint.frame_axes is not None:
+            for k, S in zip(top.links[i].v, joint.frame_axes, strict=True):
                 out[k] = out[k] + S if k in out else S
         elif any(not is_zero(x) for x in joint.S):
             out[i] = joint.S

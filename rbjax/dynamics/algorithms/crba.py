@@ -23,7 +23,6 @@ from rbjax.dynamics.algorithms.factors import Column, add_columns, columns_of_fr
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.pairs import packed, pair_matrix, with_armature
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.joints import CoordinateMotion, FrameMotion
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, RigidInertia
@@ -75,13 +74,13 @@ def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     def step(x, children):
         link, joint = x
         X, I_c, columns = joint.transform(link), joint.inertia(link) + children[0], children[1]
-        if isinstance(joint, FrameMotion):
-            columns = columns_of_frame(joint, X, I_c)
+        if joint.frame_axes is not None:
+            columns = columns_of_frame(joint.frame_axes, X, I_c)
             return (X.rigid_to_parent(I_c), columns), (X, columns)
         own = joint.link_inertia(Vec3.zero())
         if own is not None:
             I_c, columns = I_c + own.rigid, add_columns(own, columns)
-        if isinstance(joint, CoordinateMotion):
+        if joint.coordinate_of is not None:
             *rest, (F, row) = columns
         else:
             F = I_c(joint.S) + joint.modal.coupling
@@ -100,9 +99,9 @@ def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
             F = fusion_barrier(X.T(F))
             X = ys[j][0]
             if j >= top.nv:
-                for k, S in zip(top.links[j].v, motions[j].axes, strict=True):
+                for k, S in zip(top.links[j].v, motions[j].frame_axes, strict=True):
                     M[i][k] = M[k][i] = S.dot(F)
-            elif not isinstance(motions[j], CoordinateMotion):
+            elif motions[j].coordinate_of is None:
                 M[i][j] = M[j][i] = motions[j].S.dot(F)
     return M
 

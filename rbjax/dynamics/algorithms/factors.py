@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from rbjax.errors import ModelError
-from rbjax.joints import Block, FrameMotion, LinkInertia
+from rbjax.joints import Block, LinkInertia
 from rbjax.lanes import Lane, add, inner, is_zero, mul, sub
-from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
+from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 
 
 class Factor(NamedTuple):
@@ -111,12 +111,12 @@ class Column(NamedTuple):
 
 
 def columns_of_frame(
-    joint: FrameMotion, X: Transform, I_A: ArticulatedInertia
+    axes: Sequence[Motion], X: Transform, I_A: ArticulatedInertia | RigidInertia
 ) -> tuple[Column, ...]:
-    """Compute the columns of the inertia I_A of one frame."""
-    momenta = [I_A(S) for S in joint.axes]
+    """Compute the columns of the inertia I_A of one frame, at the pose X, with its axes S_j."""
+    momenta = [I_A(S) for S in axes]
     return tuple(
-        Column(X.T(h), tuple(S.dot(h) for S in joint.axes[: j + 1])) for j, h in enumerate(momenta)
+        Column(X.T(h), tuple(S.dot(h) for S in axes[: j + 1])) for j, h in enumerate(momenta)
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.joints import Block, CoordinateMotion, FrameMotion, JointMotion
+from rbjax.joints import Block, JointMotion
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion, Transform
@@ -265,9 +265,9 @@ class LinkMotion:
         if not top.frames:
             return [(link, self.axis(link))]
         joint = self._links[link][0]
-        if isinstance(joint, FrameMotion):
-            return list(zip(top.links[link].v, joint.axes, strict=True))
-        return [] if isinstance(joint, CoordinateMotion) else [(link, joint.S)]
+        if joint.frame_axes is not None:
+            return list(zip(top.links[link].v, joint.frame_axes, strict=True))
+        return [] if joint.coordinate_of is not None else [(link, joint.S)]
 
     def axis(self, link: int) -> Motion:
         """Return the axis S of a link in its own axes."""

@@ -51,7 +51,9 @@ def driver(model: Model, dtype: Any) -> Driver:
     if name == "auto":
         name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
     top = model.topology
-    if not model.nv or top.frames or (name == "limbs" and not partition(top).groups):
+    if top.frames and name == "rolled":
+        name = "limbs"
+    if not model.nv or (name == "limbs" and not partition(top).groups):
         name = "unrolled"
     return DRIVERS[name](model, prepare(model, dtype))
 

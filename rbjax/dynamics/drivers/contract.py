@@ -153,6 +153,4 @@ def frame_motions(
 ) -> Sequence[JointMotion]:
     """Compute the motions of all frames of the flexible link of a frame."""
     assert isinstance(frame.kind, FrameKind)
-    joint = frame.kind.joint
-    params = constants.params[: len(joint.defaults)]
-    return joint.frames([q[k] for k in frame.q], [v[k] for k in frame.v], params)
+    return frame.kind.motions([q[k] for k in frame.q], [v[k] for k in frame.v], constants)

@@ -1,5 +1,8 @@
 """The driver by limbs: a loop over isomorphic limbs, one of which is unrolled.
 
+Limbs are in parallel, as the legs of a robot, or in series, as the beams of a cable. A sweep over a
+series carries its values from limb to limb.
+
 The two legs of a humanoid are a `lax.scan` of length two over one unrolled leg. Base and waist (the
 trunk) are unrolled, as in `Unrolled`. All lanes of a limb are in registers.
 
@@ -9,6 +12,7 @@ A number that differs between the limbs is a column over the limbs (`loop`).
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -18,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import unrolled
-from rbjax.dynamics.drivers.contract import Step, dof_motion
+from rbjax.dynamics.drivers.contract import Step, dof_motion, frame_motions
 from rbjax.dynamics.drivers.loop import Iteration, JointColumns, Parts, loop
-from rbjax.joints import HINGE, JointMotion, PosedJoint, hinge_motion
+from rbjax.joints import HINGE, FrameKind, JointMotion, PosedJoint, hinge_motion
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, pack, sincos, sub
 from rbjax.lanes.primitives import whole_cotangent
 from rbjax.model import WORLD, Group, LinkConstants, Model, Prepared, partition
@@ -72,7 +76,7 @@ class Limbs(unrolled.ListDriver):
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
         self._like = jnp.zeros(q.shape[1:], q.dtype)
-        dofs = self.topology.dofs
+        dofs = self.topology.links
         hinges = [i for i, dof in enumerate(dofs) if dof.kind is HINGE]
         place = {i: n for n, i in enumerate(hinges)}
         c, s = jnp.zeros((2, 0), q.dtype)
@@ -81,20 +85,27 @@ class Limbs(unrolled.ListDriver):
             c, s = sequential_sincos(sub(_rows(q, [dofs[i].q[0] for i in hinges]), reference))
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
+        rows = functools.lru_cache(None)(lambda of_q, at: _rows(q if of_q else v, at))
+        beams: dict[int, Sequence[JointMotion]] = {}
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
             if i in place:
                 return hinge_motion(c[place[i]], s[place[i]], vs[i])
+            if isinstance(dofs[i].kind, FrameKind):
+                start = self.topology.frame_starts[dofs[i].joint]
+                if start not in beams:
+                    beams[start] = frame_motions(dofs[i], constants, qs, vs)
+                return beams[start][i - start]
             return dof_motion(dofs[i], constants, qs, vs)
 
         def limbs(index: Sequence[int], constants: LinkConstants) -> JointColumns:
-            hinge, kind = index[0] in place, dofs[index[0]].kind
+            hinge, dof = index[0] in place, dofs[index[0]]
             speeds = zip(*(dofs[i].v for i in index), strict=True)
-            speed = [0.0 if v is None else _rows(v, at) for at in speeds]
+            speed = [0.0 if v is None else rows(False, at) for at in speeds]
             if hinge:
                 at = [_rows(x, [place[i] for i in index]) for x in (c, s)]
             else:
-                at = [_rows(q, every) for every in zip(*(dofs[i].q for i in index), strict=True)]
+                at = [rows(True, every) for every in zip(*(dofs[i].q for i in index), strict=True)]
             columns = constants, at, speed
 
             def posed(lane_of: Callable[[Any], Lane]) -> PosedJoint:
@@ -102,10 +113,21 @@ class Limbs(unrolled.ListDriver):
                 if hinge:
                     cosine, sine = at
                     return PosedJoint(hinge_motion(cosine, sine, v[0]), constants)
-                motion = kind.motion(at, v, constants)
-                return PosedJoint(motion, constants)
+                if isinstance(dof.kind, FrameKind):
+                    start = self.topology.frame_starts[dof.joint]
+                    frames = shared(lane_of, start, dof.kind, at, v, constants)
+                    return PosedJoint(frames[index[0] - start], constants)
+                return PosedJoint(dof.kind.motion(at, v, constants), constants)
 
             return JointColumns(posed, columns)
+
+        made: dict[int, tuple[Any, Sequence[JointMotion]]] = {}
+
+        def shared(lane_of: Any, start: int, kind: FrameKind, at: Any, v: Any, constants: Any):
+            """Compute the frames of a flexible link once for each iteration of a loop."""
+            if start not in made or made[start][0] is not lane_of:
+                made[start] = lane_of, kind.motions(at, v, constants)
+            return made[start][1]
 
         out = self._parts(trunk, limbs, self.constants)
         return Parts(fusion_barrier(out.trunk), out.rest)
@@ -113,7 +135,11 @@ class Limbs(unrolled.ListDriver):
     def lanes(self, x: jax.Array | None) -> Parts:
         if x is None:
             return self._parts(lambda i: 0.0, lambda links: 0.0)
-        return self._parts(lambda i: x[i], lambda links: _rows(x, links))
+        n = self.topology.nv  # the frames follow
+        return self._parts(
+            lambda i: x[i] if i < n else 0.0,
+            lambda links: _rows(x, links) if links[0] < n else 0.0,
+        )
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
         return self._parts(
@@ -123,13 +149,15 @@ class Limbs(unrolled.ListDriver):
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
         # limbs with consecutive links are written as one block
-        rows = dict(zip(self._trunk, lanes.trunk, strict=True))
+        n = self.topology.nv  # the frames follow
+        rows = {i: x for i, x in zip(self._trunk, lanes.trunk, strict=True) if i < n}
         blocks: dict[int, jax.Array] = {}
         for group, columns in zip(self._groups, lanes.rest, strict=True):
             shape = (len(group.links), 1, *like.shape[1:])
-            wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in columns]
+            own = [x for i, x in zip(group.links[0], columns, strict=True) if i < n]
+            wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in own]
             block = jnp.concatenate(wide, 1)
-            every = [i for limb in group.links for i in limb]
+            every = [i for limb in group.links for i in limb if i < n]
             block = block.reshape(len(every), *like.shape[1:])
             if every == list(range(every[0], every[0] + len(every))):
                 blocks[every[0]] = block
@@ -141,7 +169,7 @@ class Limbs(unrolled.ListDriver):
         return jnp.concatenate([blocks[i] for i in sorted(blocks)])
 
     def whole(self, values: Parts) -> list:
-        out: list = [None] * self.topology.nv
+        out: list = [None] * len(self.topology.links)
         for i, x in zip(self._trunk, values.trunk, strict=True):
             out[i] = x
         for group, positions in zip(self._groups, values.rest, strict=True):
@@ -176,6 +204,8 @@ class Limbs(unrolled.ListDriver):
     def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
         """Run an outward sweep over the trunk, then over the limbs."""
         carries, ys = unrolled.outward(self._parents, step, root, xs.trunk)
+        if self._series:
+            return Parts(ys, [self._outward_series(step, xs.rest[0], carries, root)])
 
         def limb(group, x, before, known):
             return (), unrolled.outward(group.parents, step, before, x, known)[1]
@@ -184,6 +214,8 @@ class Limbs(unrolled.ListDriver):
 
     def inward(self, step: Step, zero: Any, xs: Parts) -> Parts:
         """Run an inward sweep over the limbs, then over the trunk."""
+        if self._series:
+            return self._inward_series(step, zero, xs)
 
         def limb(group, x, before, known):
             sums = [zero] * len(x)
@@ -196,6 +228,9 @@ class Limbs(unrolled.ListDriver):
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Parts) -> Parts:
         # each limb runs both sweeps in one iteration and stores nothing of its outward sweep
         carries, first = unrolled.outward(self._parents, outward, root, xs.trunk)
+        if self._series:
+            start = self._outward_series(outward, xs.rest[0], carries, root, starts=True)
+            return self._inward_series(inward, zero, xs, (outward, first, start))
 
         def limb(group, x, before, known):
             y = unrolled.outward(group.parents, outward, before, x, known)[1]
@@ -206,6 +241,52 @@ class Limbs(unrolled.ListDriver):
         sums, limbs = self._each_group(limb, zero, xs, carries, root)
         both = list(zip(xs.trunk, first, strict=True))
         return Parts(unrolled.inward(self._parents, inward, sums, both)[1], limbs)
+
+    @property
+    def _series(self) -> Group | None:
+        """The group of limbs in series, which is the only group, or None."""
+        return next((group for group in self._groups if group.port is not None), None)
+
+    def _outward_series(
+        self, step: Step, xs: list, carries: list, root: Any, *, starts: bool = False
+    ) -> Any:
+        """Run an outward sweep over limbs in series. Return the outputs, stacked; if `starts`, the
+        carries at the starts of the limbs instead."""
+        group = self._groups[0]
+        port = self._place[group.carriers[0]]
+        before = as_arrays(root if port == WORLD else carries[port], self._like)
+
+        def body(before, given, known):
+            made, ys = unrolled.outward(group.parents, step, before, given, known)
+            return as_arrays(made[group.port], self._like), before if starts else ys
+
+        return self._loop(group, body, before, xs)[1]
+
+    def _inward_series(self, step: Step, zero: Any, xs: Parts, first: tuple | None = None) -> Parts:
+        """Run an inward sweep over limbs in series, then over the trunk.
+
+        first: of `out_and_in`, the outward step, its outputs in the trunk, and its carries at the
+            starts of the limbs. The limbs compute their outputs again.
+        """
+        group = self._groups[0]
+        outward, trunk, starts = first or (None, [], ())
+
+        def body(message, given, known):
+            x, start = given
+            if outward is not None:
+                ys = unrolled.outward(group.parents, outward, start, x, known)[1]
+                x = list(zip(x, ys, strict=True))
+            sums = [message if k == group.port else zero for k in range(len(x))]
+            messages, ys = unrolled.inward(group.parents, step, sums, x, known)
+            return as_arrays(messages[0], self._like), ys
+
+        start = as_arrays(zero, self._like)
+        message, ys = self._loop(group, body, start, (xs.rest[0], starts), reverse=True)
+        sums, port = [zero] * len(self._trunk), self._place[group.carriers[0]]
+        if port != WORLD:
+            sums[port] = message
+        own = list(zip(xs.trunk, trunk, strict=True)) if first else xs.trunk
+        return Parts(unrolled.inward(self._parents, step, sums, own)[1], [ys])
 
     def _each_group(
         self, limb: Callable, zero: Any, xs: Parts, carries: list | None, root: Any
@@ -262,16 +343,20 @@ class Limbs(unrolled.ListDriver):
 
         return jax.tree.map(Iteration(lane), columns)
 
-    def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
+    def _loop(
+        self, group: Group, body: Callable, carry: Any, given: Any, *, reverse: bool = False
+    ) -> tuple[Any, Any]:
         """Scan carry, out = body(carry, given, known) over the limbs of a group."""
 
         def scan(step: Callable, carry: Any, columns: list) -> tuple[Any, Any]:
             # the transpose recomputes the values of a limb instead of storing them
             step = jax.checkpoint(step, prevent_cse=False)
-            return jax.lax.scan(step, carry, ((), columns), length=len(group.links))
+            return jax.lax.scan(
+                step, carry, ((), columns), length=len(group.links), reverse=reverse
+            )
 
         def with_known(carry: Any, lanes: Any, _: tuple, here: Iteration) -> tuple[Any, Any]:
-            return body(carry, lanes, [posed.pose for _, posed in here.joints.values()])
+            return body(carry, lanes, [posed.recomputed for _, posed in here.joints.values()])
 
         return loop(scan, with_known, carry, given, self._cast)
 

@@ -42,14 +42,14 @@ class JointColumns:
 
 
 class PoseLane:
-    """A placeholder for lane k of all link poses, which are recomputed when it is read."""
+    """A placeholder for a lane of all link poses, which are recomputed when it is read."""
 
     def __init__(self, joint: JointColumns, k: int):
         self.joint, self.k = joint, k
 
     def of(self, posed: PosedJoint) -> Lane:
-        """Return lane k of the pose of one joint motion."""
-        return jax.tree.leaves(posed.pose)[self.k]
+        """Return lane k of the pose of one joint motion, or of the axes of a frame."""
+        return jax.tree.leaves(posed.recomputed)[self.k]
 
 
 class Constants:
@@ -85,7 +85,7 @@ class Iteration:
         return {
             id(x): PoseLane(joint, k)
             for joint, posed in self.joints.values()
-            for k, x in enumerate(jax.tree.leaves(posed.pose)) if not is_literal(x)
+            for k, x in enumerate(jax.tree.leaves(posed.recomputed)) if not is_literal(x)
         }  # fmt: skip
 
 
