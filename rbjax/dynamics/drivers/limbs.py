@@ -253,12 +253,12 @@ class Limbs(unrolled.ListDriver):
         """Run an outward sweep over limbs in series. Return the outputs, stacked; if `starts`, the
         carries at the starts of the limbs instead."""
         group = self._groups[0]
-        port = self._place[group.carriers[0]]
+        port, last = self._place[group.carriers[0]], group.port or 0
         before = as_arrays(root if port == WORLD else carries[port], self._like)
 
         def body(before, given, known):
             made, ys = unrolled.outward(group.parents, step, before, given, known)
-            return as_arrays(made[group.port], self._like), before if starts else ys
+            return as_arrays(made[last], self._like), before if starts else ys
 
         return self._loop(group, body, before, xs)[1]
 
