@@ -103,6 +103,8 @@ def load(
         The model. `model.dropped` lists the unsupported features. The inertials of a URDF are not
         changed; a warning lists the links with physically impossible inertials, and the joints
         whose motions cancel. A URDF link 'world' that is not the ground is renamed 'world_link'.
+        Cables of MuJoCo 3, `<composite type="cable">` and the plugin `mujoco.elasticity.cable`,
+        are ball joints with `rbjax.forces.Cable`; MuJoCo 4 does not read them.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.

@@ -18,6 +18,7 @@ import numpy as np
 
 from rbjax.contact.contact_solution import solve
 from rbjax.loading import compile_model, load
+from rbjax.loading.mjcf.cables import switch_off_cables
 from rbjax.loading.mjcf.contact_pairs import contact_pairs
 from rbjax.loading.mjcf.contacts import closed_pairs
 from rbjax.loading.mjcf.fields import reason_left_out
@@ -45,7 +46,7 @@ def with_contacts(
     m = copy.copy(compile_model(source, floating_base=floating_base))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the features that are left out are in the report
-        off = load(m, contacts=True).dropped
+        off = (*switch_off_cables(m), *load(m, contacts=True).dropped)
         pairs, closed = contact_pairs(m), set(closed_pairs(m))
         for k, pair in enumerate(pairs):
             if k not in closed:

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
+from rbjax.loading.mjcf.cables import switch_off_cables
 from rbjax.loading.mjcf.dropped import dropped_features
 from rbjax.loading.mjcf.fields import is_at_joint, is_at_tendon, reason_left_out
 
@@ -45,7 +46,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
         ("implicit joint damping in MuJoCo's Euler step",)
     """
     m = copy.copy(compile_model(source, floating_base=floating_base))
-    off = (*dropped_features(m), _EULER)
+    off = (*dropped_features(m), *switch_off_cables(m), _EULER)
     bits = mujoco.mjtDisableBit
     for bit in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT):
         m.opt.disableflags |= int(bit)

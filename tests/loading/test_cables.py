@@ -10,6 +10,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.loading import compile_model
+from rbjax.loading.loader import from_compiled
+from rbjax.validation.contacts import with_contacts
+from rbjax.validation.reference import smooth
 from tests.robots import load_quietly
 from tests.tolerances import relative_error
 
@@ -111,6 +114,16 @@ def test_no_forces_where_springs_and_dampers_are_disabled():
     off = '<option><flag spring="disable" damper="disable"/></option>'
     model = load_quietly(cable('count="4 1 1" curve="s" size="1"', before=off + PLUGIN))
     assert model.forces == ()
+
+
+def test_comparisons_with_mujoco_4_switch_the_cables_off():
+    text = CASES["straight"]["xml"]
+    m, off = smooth(text)
+    assert off[0] == "elasticity of cables, which MuJoCo 4 does not have"
+    assert from_compiled(m).forces == ()
+    _, model, off = with_contacts(text)
+    assert off[0].startswith("elasticity of cables") and model.forces == ()
+    assert smooth("pendulum")[1][0] != off[0]
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ def cable_elements(m: mujoco.MjModel) -> list[Cable]:
         return out
     for i in range(m.ntext):
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_TEXT, i)
-        if name.startswith(TEXT):
+        if name.startswith(TEXT) and m.text_size[i]:
             start = m.text_adr[i]
             data = m.text_data[start : start + m.text_size[i] - 1]
             values = json.loads(data if isinstance(data, (str, bytes)) else bytes(data))
@@ -161,6 +161,15 @@ def cable_elements(m: mujoco.MjModel) -> list[Cable]:
             found = cable(m, name.removeprefix(TEXT), values)
             out += [found] if found.joints else []
     return out
+
+
+def switch_off_cables(m: mujoco.MjModel) -> tuple[str, ...]:
+    """Change a compiled model so that `cable_elements` finds nothing, for comparisons with MuJoCo
+    4. Return the entries of a list of features that are switched off."""
+    names = [mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_TEXT, i) for i in range(m.ntext)]
+    found = [i for i, name in enumerate(names) if name.startswith(TEXT)]
+    m.text_size[found] = 0
+    return ("elasticity of cables, which MuJoCo 4 does not have",) if found else ()
 
 
 def _written(m: mujoco.MjModel, name: str, values: dict[str, Any]) -> Cable:
