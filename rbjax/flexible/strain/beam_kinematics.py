@@ -84,15 +84,17 @@ def turning_columns(
     """
     out: list[list[Motion]] = [[] for _ in rows]
     t = fusion_barrier([x * length for x in s.t])
+    about = [[Vec3(*(float(i == k) for i in range(3))).cross(x) for x in t] for k in range(3)]
     for j in range(len(s.sections[0].turn)):
         turns = [x.turn[j] for x in s.sections]
         constant = all(is_literal(x) for turn in turns for x in turn)
         arms = [] if constant else [w.cross(x) for w, x in zip(turns, t, strict=True)]
         for columns, row, section in zip(out, rows, sections, strict=True):
-            if constant:
+            if constant:  # a planar beam: the products of constants are one constant
                 lin = Vec3.zero()
-                for a, w, x in zip(row, turns, t, strict=True):
-                    lin = lin + (w * a).cross(x)
+                for k, arm in enumerate(about):
+                    weights = [a * w[k] for a, w in zip(row, turns, strict=True)]
+                    lin = lin + _sum(weights, arm)
             else:
                 lin = _sum(row, arms)
             E = section.R.T

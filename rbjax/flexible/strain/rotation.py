@@ -13,7 +13,7 @@ The derivatives of exp([O]) are written with Stumpff's functions c_k of x = O.O:
     exp([O]) = 1 + c_1 [O] + c_2 [O]^2,   w = J O',   J = 1 + c_2 [O] + c_3 [O]^2
 
 where w is the angular velocity in the axes of the start of the cell. c_4 and c_5 are evaluated as
-series, which hold all digits for angles to 2 pi. The others follow by c_k = 1/k! - x c_{k+2}.
+series, which hold all digits for angles to 4 rad. The others follow by c_k = 1/k! - x c_{k+2}.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ class Stumpff(NamedTuple):
 
 
 def stumpff_series(x: Lane) -> Stumpff:
-    """Compute c_1 to c_5 of x = angle^2, accurate for angles to 2 pi, smooth everywhere."""
+    """Compute c_1 to c_5 of x = angle^2, accurate for angles to 4 rad, smooth everywhere."""
     x = jnp.asarray(x)
-    terms = 16 if x.dtype == jnp.float64 else 10
+    terms = 14 if x.dtype == jnp.float64 else 8
     c4, c5 = (
         horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x) for k in (4, 5)
     )
