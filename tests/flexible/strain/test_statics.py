@@ -58,7 +58,7 @@ def bend(slenderness: float) -> tuple[list[float], float]:
     return [E * I, E * I, E * I, E * A, E * A / 2, E * A / 2], 600.0 * (100.0 / slenderness) ** 4
 
 
-ARC = {"k_x": 3, "k_y": 3, "k_z": 3, "e_x": 1, "g_y": 1, "g_z": 1}
+ARC = dict.fromkeys(("k_x", "k_y", "k_z", "e_x", "g_y", "g_z"), 3)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_bend_of_45_degrees_does_not_lock(arc, slenderness):
     key = f"1e{round(np.log10(slenderness))}"
     if key in ORACLES["bend_45_slenderness"]:
         assert np.abs(want - ORACLES["bend_45_slenderness"][key]).max() < 2e-8  # its last digit
-    assert np.abs(got - want).max() < 1e-6 * 100, got - want
+    assert np.abs(got - want).max() < 4e-7 * 100, got - want  # one beam alone errs by 1.4e-5
 
 
 def test_planar_beam_with_shear_and_axial_strain():

@@ -8,7 +8,7 @@ from scipy.sparse import diags_array, eye_array, kron
 from scipy.sparse.linalg import spsolve
 
 from rbjax.errors import InputError
-from rbjax.flexible import section as sections
+from rbjax.flexible import cross_section as sections
 
 STEEL = {"E": 2.1e11, "nu": 0.3, "density": 7800.0}
 UNIT = {"E": 1.0, "G": 1.0, "density": 1.0, "shear": 1.0}
