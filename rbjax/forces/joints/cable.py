@@ -14,7 +14,8 @@ of the ball joint, whose velocity is in the axes of the segment, is
 The first law is MuJoCo's plugin. It has a potential only if K is isotropic and phi_0 is zero. The
 second law is the gradient of V = (phi - phi_0) . K (phi - phi_0) / (2 L), because phi' = J_r^-1 w
 and J_r(phi)^-T = J_l(phi)^-1. Both are equal if phi is parallel to s, for example in the plane.
-They differ by [phi] s / 2 to first order in phi.
+They differ by [phi] s / 2 to first order in phi. A free body on a cable of a rectangular section,
+1 : 3, bent by 0.7 rad gains or loses a third of its energy in two seconds with the first law.
 
 The cable neither stretches nor shears. Its error falls as the square of the length of a segment.
 phi is at most half a turn: a segment that turns further springs to the other side.
