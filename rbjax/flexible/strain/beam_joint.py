@@ -246,8 +246,9 @@ def strain_beam(
     Args:
         degrees: strain -> degree of its polynomial. Strains are k_x (torsion), k_y, k_z (bending
             about y and z), e_x (axial), g_y, g_z (shear). A strain that is left out is zero.
-        points: the number of Gauss points; by default the largest number of coefficients of a
-            strain + 3, so that quadrature errs less than the polynomials.
+        points: the number of Gauss points; by default n + 3, where n is the largest number of
+            coefficients of a strain. From n + 2 the mass matrix of small deflections is exact, and
+            in large bending quadrature errs less than the polynomials.
         frames: s / L of frames in addition to the Gauss points and the tip, in (0, 1].
         natural: curvature -> degree of the natural curvature or twist, a parameter.
         tapered: True for mass and rotary inertia at each Gauss point, in place of one value.

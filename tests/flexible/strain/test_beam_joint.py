@@ -179,6 +179,34 @@ def test_frequencies_of_a_cantilever():
     assert (errors < [1e-11, 2e-8, 2e-6]).all(), errors
 
 
+def test_frames_of_a_circular_arc():
+    """The position at any s: a constant curvature k gives (sin(k s), 1 - cos(k s)) / k."""
+    places, k, length = (0.1, 0.55, 0.9), 1.2, 2.0
+    beam = strain_beam({"k_z": 0}, points=12, frames=places)
+    poses = beam.poses([k], beam.values_of(length=length))
+    for place, at in zip([*beam.nodes, 1.0, *places], poses, strict=True):
+        turned = k * length * place
+        want = [np.sin(turned) / k, (1 - np.cos(turned)) / k, 0.0]
+        assert np.abs(numbers(at.p) - want).max() < 1e-11  # the interpolant of 12 points
+
+
+def test_derivative_by_the_length():
+    """A beam is L times the beam of unit length with curvatures L q, so that
+    dr/dL = (r + sum_j q_j dr/dq_j) / L. Strains e and g have no dimension."""
+    beam, L = BEAMS["spatial"], 1.3
+    params = jnp.asarray(beam.defaults).at[0].set(L)  # no natural curvature
+    q = jnp.asarray(np.random.default_rng(7).normal(size=beam.coordinates))
+
+    def r(q, length):
+        tip = beam.poses(list(q), [length, *params[1:]])[beam.tip]
+        return jnp.stack([*tip.p])
+
+    curved = jnp.asarray([float(c < 3) for c, _ in beam.columns])
+    at, along = jax.jvp(lambda x: r(x, L), (q,), (q * curved,))
+    by_length = jax.jvp(lambda x: r(q, x), (L,), (1.0,))[1]
+    assert np.abs(by_length - (at + along) / L).max() < 1e-13
+
+
 def test_largest_angle_of_a_cell():
     """Four points of a beam that turns by q: the largest cells lie in the middle."""
     for degrees in ({"k_z": 0}, {"k_y": 0, "k_z": 0}):
