@@ -39,7 +39,7 @@ class Magnus(NamedTuple):
     def rate(self, moments: tuple[Vec3, Vec3, Vec3, Vec3]) -> MagnusRate:
         """Compute the derivative of O along a change of the moments B_0, a_1, a_2, a_3."""
         b, d1, d2, d3 = moments
-        C = -d1.cross(self.a2) - self.a1.cross(d2)
+        C = self.a2.cross(d1) - self.a1.cross(d2)
         F = d3 * 2.0 + C
         D = C - d1 * 20.0 - d3
         E = d2 + (d1.cross(self.F) + self.a1.cross(F)) * (1 / 60)
@@ -66,7 +66,7 @@ class MagnusRate(NamedTuple):
 
 def magnus(B0: Vec3, a1: Vec3, a2: Vec3, a3: Vec3) -> Magnus:
     """Compute the rotation vector O of a cell from moments of its curvature."""
-    C = -a1.cross(a2)
+    C = a2.cross(a1)
     F = a3 * 2.0 + C
     D, E = C - a1 * 20.0 - a3, a2 + a1.cross(F) * (1 / 60)
     return Magnus(a1, a2, D, E, F, B0 - D.cross(E) * (1 / 240))
