@@ -5,13 +5,17 @@ energy is that of a Taylor expansion (Shabana, *Dynamics of Multibody Systems*, 
 & Wallrapp, *Dynamik flexibler Mehrkörpersysteme*, ch. 6):
 
     T = (w.J w + 2 w.(h x v) + m v.v) / 2 + sum_j (c_j.w + l_j.v) q_j' + q'.M q' / 2
-    h   = h0 + sum_j h1_j q_j + sum_jk h2_jk q_j q_k / 2      first moment
+    h   = h0 + sum_j h1_j q_j                                 first moment
     J   = J0 + sum_j J1_j q_j + sum_jk J2_jk q_j q_k          inertia about the origin
     c_j = c0_j + sum_k c1_jk q_k                              angular momentum of a unit rate
-    l_j = h1_j + sum_k h2_jk q_k                              linear momentum of a unit rate
+    l_j = h1_j                                                linear momentum of a unit rate
 
-h2 and parts of J2 and c1 are second-order displacements: they are the geometric stiffening of
-`rbjax.flexible.modal.stiffening`. They are zero in a linear floating frame.
+Displacements of second order in q add l_j += h2_jk q_k, the symmetric part of c1, and the stiffness
+w.G_jk w. They are the geometric stiffening of `rbjax.flexible.modal.stiffening`, and zero in a
+linear floating frame. Their own terms in the kinetic energy, h += h2_jk q_j q_k / 2 and
+J += -G_jk q_j q_k, are small, but without the terms of higher order that belong to them T is not
+positive definite if the modes contain almost all of the motion of the base. So they are left out,
+as in standard input data, unless `second_order` is set.
 """
 
 from __future__ import annotations
@@ -42,6 +46,7 @@ class ModalBody(Record):
         inertia: J0 (3, 3), kg m^2.
         inertia1: J1 (m, 3, 3).
         inertia2: J2 (m, m, 3, 3), symmetric in the modes.
+        rotation_stiffness: G (m, m, 3, 3), symmetric in the modes.
         coupling: c0 (3, m).
         coupling1: c1 (3, m, m); entry (a, j, k) is the derivative of c_j by q_k.
         modal_mass: M (m, m).
@@ -77,6 +82,7 @@ class ModalBody(Record):
     inertia: jax.Array = eqx.field(converter=floats)
     inertia1: jax.Array = eqx.field(converter=floats)
     inertia2: jax.Array = eqx.field(converter=floats)
+    rotation_stiffness: jax.Array = eqx.field(converter=floats)
     coupling: jax.Array = eqx.field(converter=floats)
     coupling1: jax.Array = eqx.field(converter=floats)
     modal_mass: jax.Array = eqx.field(converter=floats)
@@ -190,18 +196,23 @@ class ModalBody(Record):
         fields["mode_names"] = tuple(names)
         return type(self)(**fields)
 
-    def kinetic_energy(self, w: jax.Array, v: jax.Array, q: jax.Array, qd: jax.Array) -> jax.Array:
-        """Compute T from the twist (w, v) of the floating frame in its axes, q (m,) and q' (m,)."""
-        h, J, c, l = self.inertia_at(q)
-        rigid = w @ J @ w + 2 * jnp.cross(w, h) @ v + self.mass * (v @ v)
-        return rigid / 2 + (w @ c + v @ l) @ qd + qd @ self.modal_mass @ qd / 2
+    def kinetic_energy(
+        self, w: jax.Array, v: jax.Array, q: jax.Array, qd: jax.Array, second_order: bool = False
+    ) -> jax.Array:
+        """Compute T from the twist (w, v) of the floating frame in its axes, q (m,) and q' (m,).
 
-    def inertia_at(self, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Compute h (3,), J (3, 3), c (3, m) and l (3, m) at q (m,)."""
-        l = self.moment1 + self.moment2 @ q
-        h = self.moment + (self.moment1 + l) @ q / 2
-        J = self.inertia + jnp.tensordot(q, self.inertia1 + jnp.tensordot(q, self.inertia2, 1), 1)
-        return h, J, self.coupling + self.coupling1 @ q, l
+        With `second_order` it includes all terms of the displacements of second order.
+        """
+        h1, h2, c1, J2 = self.moment1, self.moment2 @ q, self.coupling1, self.inertia2
+        if second_order:
+            l, h = h1 + h2, self.moment + (h1 + h2 / 2) @ q
+            J2 = J2 - self.rotation_stiffness
+        else:
+            l, h, c1 = h1, self.moment + h1 @ q, (c1 - c1.swapaxes(1, 2)) / 2
+        J = self.inertia + jnp.tensordot(q, self.inertia1 + jnp.tensordot(q, J2, 1), 1)
+        rigid = w @ J @ w + 2 * jnp.cross(w, h) @ v + self.mass * (v @ v)
+        coupled = w @ (self.coupling + c1 @ q) + v @ l
+        return rigid / 2 + coupled @ qd + qd @ self.modal_mass @ qd / 2
 
 
 FRAME_FIELDS = ("positions", "orientations", "modes", "rotation_modes", "second_modes")
@@ -211,6 +222,7 @@ MODE_AXES = {
     "moment2": (1, 2),
     "inertia1": (0,),
     "inertia2": (0, 1),
+    "rotation_stiffness": (0, 1),
     "coupling": (1,),
     "coupling1": (1, 2),
     "modal_mass": (0, 1),
@@ -232,6 +244,7 @@ def shapes(m: int, P: int) -> dict[str, tuple[int, ...]]:
         "inertia": (3, 3),
         "inertia1": (m, 3, 3),
         "inertia2": (m, m, 3, 3),
+        "rotation_stiffness": (m, m, 3, 3),
         "coupling": (3, m),
         "coupling1": (3, m, m),
         "modal_mass": (m, m),

@@ -210,7 +210,7 @@ def from_points(
 
 
 def second_order(masses: Any, places: np.ndarray, A: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the parts of h2, J2 and c1 of second-order displacements A (n, 3, m, m)."""
+    """Compute h2, G and the part of c1 of second-order displacements A (n, 3, m, m)."""
     weight = masses if getattr(masses, "ndim", 1) == 2 else np.asarray(masses, float)
     flat = A.reshape(len(A), -1)
     weighted = weight[:, None] * flat if weight.ndim == 1 else np.asarray(weight @ flat)
@@ -218,7 +218,7 @@ def second_order(masses: Any, places: np.ndarray, A: np.ndarray) -> dict[str, np
     J = _minus_double_cross(S.transpose(2, 3, 0, 1))
     return {
         "moment2": weighted.sum(0).reshape(A.shape[1:]),
-        "inertia2": (J + J.swapaxes(-1, -2)) / 2,
+        "rotation_stiffness": -(J + J.swapaxes(-1, -2)) / 2,
         "coupling1": _cross(S),
     }
 
@@ -239,7 +239,7 @@ def modal_body(
         stiffness: K (m, m); None for zero.
         damping: D (m, m); None for zero.
         frames: (positions, orientations, modes, rotation modes, second modes or None, names).
-        second: parts of moment2, inertia2 and coupling1 of second-order displacements.
+        second: moment2, rotation_stiffness and the part of coupling1 of second-order displacements.
         mode_names: m names; None for "mode 1", "mode 2", ...
     """
     m = len(found.I6)
@@ -260,7 +260,8 @@ def modal_body(
         moment2=second.get("moment2", np.zeros(none["moment2"])),
         inertia=found.I7,
         inertia1=found.I8 + found.I8.swapaxes(-1, -2) + found.turned_inertia,
-        inertia2=J2 + second.get("inertia2", 0.0),
+        inertia2=J2,
+        rotation_stiffness=second.get("rotation_stiffness", np.zeros(none["inertia2"])),
         coupling=found.I4,
         # (I5_k)_j is the derivative of c_j by q_k
         coupling1=found.I5.transpose(1, 2, 0)

@@ -2,12 +2,15 @@
 
 The coordinates q are the factors of the modes. With the angular velocity w of the floating frame,
 the linear acceleration a of its origin, and T of `rbjax.flexible.modal.body`, Lagrange's equations
-in body axes are
+in body axes are, with a stiffness w.G_jk w of rotation,
 
-    f_v   = m a + w' x h + sum_j l_j q_j'' + w x (w x h) + 2 w x l_j q_j' + h2_jk q_j' q_k'
-    f_w   = h x a + J w' + sum_j c_j q_j'' + w x J w
-            + sum_j q_j' (w x c_j + dJ/dq_j w) + c1_jk q_j' q_k'
-    tau_j = l_j.a + c_j.w' + M_jk q_k'' + sum_k q_k' w.(c1_jk - c1_kj) - w.(dJ/dq_j w) / 2
+    f_v   = m a + w' x h + sum_j l_j q_j'' + w x (w x h) + 2 sum_j w x h1_j q_j'
+    f_w   = h x a + J w' + sum_j c_j q_j'' + w x J w + sum_j q_j' (w x g_j + dJ/dq_j w)
+    tau_j = l_j.a + c_j.w' + M_jk q_k''
+            + sum_k q_k' w.(c1_jk - c1_kj) - w.(dJ/dq_j w) / 2 + sum_k w.G_jk w q_k
+
+g_j is c_j without the symmetric part of c1. If the layout is `second_order`, the equations are
+those of the kinetic energy with all terms of the displacements of second order.
 
 Frame P has, with the rotation vector phi = V q and the right Jacobian J_r of SO(3):
 
@@ -45,6 +48,7 @@ FIELDS = (
     "inertia",
     "inertia1",
     "inertia2",
+    "rotation_stiffness",
     "coupling",
     "gyroscopic",
     "turning",
@@ -68,21 +72,25 @@ class ModalLayout:
             zeros. Symmetric fields have one entry for each pair. `coupling1` is the sum of its
             antisymmetric part "gyroscopic" and its symmetric part "turning".
         unrotated: indices of the frames whose orientation is structurally the identity.
+        second_order: True if the kinetic energy has all terms of displacements of second order. It
+            is then exact for tests, but not positive definite for large deformations.
     """
 
     modes: int
     frames: int
     entries: tuple[tuple[str, tuple[int, ...]], ...]
     unrotated: frozenset[int]
+    second_order: bool = False
 
     @classmethod
-    def of(cls, body: ModalBody, tolerance: float = 0.0) -> ModalLayout:
+    def of(cls, body: ModalBody, tolerance: float = 0.0, second_order: bool = False) -> ModalLayout:
         """Return the layout of the entries of a body that are not zero.
 
         Args:
             body: a body whose arrays are not traced.
             tolerance: entries up to this multiple of the largest one of their array become
                 structural zeros.
+            second_order: see the field.
         """
         rotations = np.asarray(body.orientations)
         plain = frozenset(k for k, R in enumerate(rotations) if np.array_equal(R, np.eye(3)))
@@ -96,7 +104,7 @@ class ModalLayout:
                 at = tuple(map(int, index))
                 if not (name == "orientations" and at[0] in plain) and _canonical(name, at) == at:
                     entries.append((name, at))
-        return cls(body.mode_count, len(body.frame_names), tuple(entries), plain)
+        return cls(body.mode_count, len(body.frame_names), tuple(entries), plain, second_order)
 
     def values(self, body: ModalBody) -> jax.Array:
         """Return the parameters (n,) of a body. They have derivatives by all of its fields."""
@@ -146,14 +154,14 @@ class ModalLink(Flexible):
         super().__init__()
 
     @classmethod
-    def of(cls, body: ModalBody, tolerance: float = 0.0) -> ModalLink:
+    def of(cls, body: ModalBody, tolerance: float = 0.0, second_order: bool = False) -> ModalLink:
         """Return the link of a body, whose default parameters are the numbers of the body.
 
         Args:
             body: a body whose arrays are not traced.
-            tolerance: see `ModalLayout.of`.
+            tolerance, second_order: see `ModalLayout.of`.
         """
-        layout = ModalLayout.of(body, tolerance)
+        layout = ModalLayout.of(body, tolerance, second_order)
         return cls(layout, [float(x) for x in layout.values(body)])
 
     def __eq__(self, other: object) -> bool:
@@ -175,38 +183,44 @@ class ModalLink(Flexible):
         pairs = [(j, k) for j in every for k in every if j < k]
         none, zero = Vec3.zero(), Sym3.zero()
 
-        # second-order parts of h and J along q
+        # changes of l and J along q, and the stiffness of rotation
         bend = [_sum(none, (read.vector("moment2", j, k) * q[k] for k in every)) for j in every]
-        curve = [
-            _sum(zero, (read.symmetric("inertia2", j, k) * q[k] for k in every)) for j in every
-        ]
-        h, J, l, turned = read.vector("moment"), read.symmetric("inertia"), [], []
+        curve, spun = (
+            [_sum(zero, (read.symmetric(name, j, k) * q[k] for k in every)) for j in every]
+            for name in ("inertia2", "rotation_stiffness")
+        )
+        full = self.layout.second_order
+        h, J, turned = read.vector("moment"), read.symmetric("inertia"), []
+        h1 = [read.vector("moment1", j) for j in every]
+        l = [a + b for a, b in zip(h1, bend, strict=True)]
         for j in every:
-            h1, J1 = read.vector("moment1", j), read.symmetric("inertia1", j)
-            h = h + (h1 + bend[j] * 0.5) * q[j]
-            J = J + (J1 + curve[j]) * q[j]
-            l.append(h1 + bend[j])
-            turned.append((J1 + curve[j] * 2.0) @ w)  # dJ/dq_j w
+            J1, J2 = read.symmetric("inertia1", j), curve[j] - spun[j] if full else curve[j]
+            h = h + (h1[j] + bend[j] * 0.5 if full else h1[j]) * q[j]
+            J = J + (J1 + J2) * q[j]
+            turned.append((J1 + J2 * 2.0) @ w)  # dJ/dq_j w
+        forces = [mul(-0.5, w.dot(x)) for x in turned]
+        if not full:
+            forces = [add(f, w.dot(G @ w)) for f, G in zip(forces, spun, strict=True)]
 
         # c1_jk = g_jk + s_jk, with g_kj = -g_jk and s_kj = s_jk
         g = {pair: read.vector("gyroscopic", *pair) for pair in pairs}
         s = [[read.vector("turning", j, k) for k in every] for j in every]
-        c = [read.vector("coupling", j) for j in every]
-        for j in every:
-            c[j] = _sum(c[j], (s[j][k] * q[k] for k in every))
+        plain = [read.vector("coupling", j) for j in every]
         for (j, k), x in g.items():
-            c[j], c[k] = c[j] + x * q[k], c[k] - x * q[j]
+            plain[j], plain[k] = plain[j] + x * q[k], plain[k] - x * q[j]
+        c = [_sum(plain[j], (s[j][k] * q[k] for k in every)) for j in every]
 
-        ang, lin, forces = none, none, [mul(-0.5, w.dot(x)) for x in turned]
+        ang, lin = none, none
         for j in every:
-            twice, square = mul(2.0, v[j]), mul(v[j], v[j])
-            ang = ang + (w.cross(c[j]) + turned[j]) * v[j] + s[j][j] * square
-            lin = lin + w.cross(l[j]) * twice + read.vector("moment2", j, j) * square
+            ang = ang + (w.cross(c[j] if full else plain[j]) + turned[j]) * v[j]
+            lin = lin + w.cross(l[j] if full else h1[j]) * mul(2.0, v[j])
         for j, k in pairs:
-            rate, spin = mul(2.0, mul(v[j], v[k])), mul(2.0, w.dot(g[j, k]))
-            ang, lin = ang + s[j][k] * rate, lin + read.vector("moment2", j, k) * rate
+            spin = mul(2.0, w.dot(g[j, k]))
             forces[j] = add(forces[j], mul(spin, v[k]))
             forces[k] = sub(forces[k], mul(spin, v[j]))
+        for j, k in [*pairs, *((j, j) for j in every)] if full else ():
+            rate = mul(1.0 if j == k else 2.0, mul(v[j], v[k]))
+            ang, lin = ang + s[j][k] * rate, lin + read.vector("moment2", j, k) * rate
         return LinkInertia(
             RigidInertia(read("mass"), h, J),
             tuple(Force(a, b) for a, b in zip(c, l, strict=True)),
@@ -263,7 +277,7 @@ def _canonical(name: str, at: tuple[int, ...]) -> tuple[int, ...]:
         return (*at[:-2], *sorted(at[-2:]))
     if name == "inertia1":
         return (at[0], *sorted(at[1:]))
-    if name == "inertia2":
+    if name in ("inertia2", "rotation_stiffness"):
         return (*sorted(at[:2]), *sorted(at[2:]))
     return at
 

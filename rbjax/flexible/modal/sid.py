@@ -10,7 +10,9 @@ modeling in multibody system codes*, Mech. Struct. Mach. 22(3), 1994). With the 
     Oe   = row j: -w.D_j w on (wx^2, wy^2, wz^2, wx wy, wy wz, wx wz)
     frames: origin, phi = U + A q, psi = V, AP = R0
 
-Gr and Ge follow from the others and are not read. First-order terms of Ct, Cr, Oe and phi include
+Gr and Ge follow from the others and are not read. The first-order term of Oe is that of G - J2. If
+the file has geometric stiffening, J2 is at least the part that the modes carry,
+sum_j c1_jk c1_jl^T / M, and this is taken. First-order terms of Ct, Cr, Oe and phi include
 geometric stiffening, if the file has it. Files index M1 as (row, column, q) or as (row, q, column).
 """
 
@@ -113,10 +115,11 @@ def from_sid(sid: Any) -> ModalBody:
     Cr, Cr1 = block(sid, ("Cr",), m, 3)
     Me, Ke, De = (block(sid, (k,), m, m, k != "De")[0] for k in ("Me", "Ke", "De"))
     _, Oe1 = block(sid, ("Oe",), m, 6)
-    J2 = np.zeros((m, m, 3, 3))
+    total = np.zeros((m, m, 3, 3))  # J2 - G
     for n, (a, b) in enumerate(PAIRS):
-        J2[:, :, a, b] = J2[:, :, b, a] = -Oe1[:, n] / (1 if a == b else 2)
-    h2 = Ct1.transpose(1, 0, 2)
+        total[:, :, a, b] = total[:, :, b, a] = -Oe1[:, n] / (1 if a == b else 2)
+    total = (total + total.transpose(1, 0, 2, 3)) / 2
+    h2, c1 = Ct1.transpose(1, 0, 2), Cr1.transpose(1, 0, 2)
     P = len(sid.frame)
     empty = shapes(m, P)
     arrays = {k: np.zeros(empty[k]) for k in FRAME_FIELDS}
@@ -127,6 +130,8 @@ def from_sid(sid: Any) -> ModalBody:
         arrays["second_modes"][k] = (phi1 + phi1.transpose(0, 2, 1)) / 2
         arrays["rotation_modes"][k] = block(node, ("psi",), 3, m, False)[0]
         arrays["orientations"][k] = block(node, ("AP", "APmod"), 3, 3)[0]
+    stiffened = np.any(h2) or np.any(arrays["second_modes"])
+    J2 = _carried(c1, Me) if stiffened else total
     given: dict[str, Any] = dict(
         mass=float(sid.refmod.mass),
         moment=h[:, 0],
@@ -134,9 +139,10 @@ def from_sid(sid: Any) -> ModalBody:
         moment2=(h2 + h2.transpose(0, 2, 1)) / 2,
         inertia=(J + J.T) / 2,
         inertia1=((J1 + J1.transpose(1, 0, 2)) / 2).transpose(2, 0, 1),
-        inertia2=(J2 + J2.transpose(1, 0, 2, 3)) / 2,
+        inertia2=J2,
+        rotation_stiffness=J2 - total,
         coupling=Cr.T,
-        coupling1=Cr1.transpose(1, 0, 2),
+        coupling1=c1,
         modal_mass=(Me + Me.T) / 2,
         stiffness=(Ke + Ke.T) / 2,
         damping=De,
@@ -178,7 +184,8 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     ) / 2
     twice = [1 if a == c else 2 for a, c in PAIRS]
     Oe = [-f * b.inertia1[:, a, c] / 2 for f, (a, c) in zip(twice, PAIRS, strict=True)]
-    Oe1 = [-f * b.inertia2[:, :, a, c] for f, (a, c) in zip(twice, PAIRS, strict=True)]
+    total = b.inertia2 - b.rotation_stiffness
+    Oe1 = [-f * total[:, :, a, c] for f, (a, c) in zip(twice, PAIRS, strict=True)]
     c1 = b.coupling1
     lines += _block("mdCM", b.moment[:, None], b.moment1[:, None])
     lines += _block("J", b.inertia, b.inertia1.transpose(1, 2, 0))
@@ -193,6 +200,14 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     lines += [*_block("Ke", b.stiffness), *_block("De", b.damping), "end modal", "end part"]
     with open(path, "w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n")
+
+
+def _carried(c1: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """Return the least J2 of displacements in the modes: sum_j c1_jk c1_jl^T / M (Bessel)."""
+    g = (c1 - c1.transpose(0, 2, 1)) / 2
+    J2 = np.einsum("ajk,ji,bil->klab", g, np.linalg.pinv(M), g)
+    J2 = (J2 + J2.transpose(1, 0, 2, 3)) / 2
+    return (J2 + J2.swapaxes(2, 3)) / 2
 
 
 def _block(name: str, M0: np.ndarray, M1: np.ndarray | None = None) -> list[str]:

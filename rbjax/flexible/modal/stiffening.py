@@ -7,7 +7,7 @@ terms K_g q are those of second-order displacements (Wallrapp & Schwertassek, IJ
 
     acceleration a_c            h2_c = K_g
     angular acceleration w'_c   c1_c += K_g
-    rotation w_a w_b            J2_ab += -K_g (a = b), -K_g / 2 (a != b)
+    rotation w_a w_b            G_ab = K_g (a = b), K_g / 2 (a != b)
     force F_c at a frame        A_c = -K_g
 
 Without them a rotating beam becomes softer with its speed, where a real one becomes stiffer: its
@@ -50,7 +50,8 @@ def geometric_stiffening(
             need forces that are not known, so they do not stiffen.
 
     Returns:
-        Parts of moment2, inertia2 and coupling1 of a `ModalBody`, and second_modes (P, 3, m, m).
+        moment2, rotation_stiffness and a part of coupling1 of a `ModalBody`, and second_modes
+        (P, 3, m, m).
     """
     assert elements.prestress is not None
     m, p = basis.shape[1], elements.places - origin
@@ -70,10 +71,10 @@ def geometric_stiffening(
         found.append((K + K.T) / 2)
     K = np.array(found)
 
-    J2 = np.zeros((m, m, 3, 3))
+    G = np.zeros((m, m, 3, 3))
     for n, (a, b) in enumerate(PAIRS):
-        J2[:, :, a, b] = J2[:, :, b, a] = -K[n] if a == b else -K[n] / 2
-    second = {"inertia2": J2}
+        G[:, :, a, b] = G[:, :, b, a] = K[n] if a == b else K[n] / 2
+    second = {"rotation_stiffness": G}
     if fixed:
         second |= {"moment2": K[6:9], "coupling1": K[9:12]}
     bent = -K[12 if fixed else 6 :].reshape(len(motions), 3, m, m)
@@ -109,7 +110,7 @@ def stiffness_in_motion(
 ) -> np.ndarray:
     """Compute the stiffness (m, m) of small deformations in a steady motion of the floating frame.
 
-        K + h2.a + c1.w' - w.J2 w
+        K + h2.a + c1.w' + w.(G - J2) w
 
     Args:
         body: the body.
@@ -128,7 +129,8 @@ def stiffness_in_motion(
         [[-5.0]]
     """
     w = _vector("w", w)
-    K = np.asarray(body.stiffness) - np.einsum("a,jkab,b", w, np.asarray(body.inertia2), w)
+    spun = np.asarray(body.rotation_stiffness) - np.asarray(body.inertia2)
+    K = np.asarray(body.stiffness) + np.einsum("a,jkab,b", w, spun, w)
     if acceleration is not None:
         K = K + np.tensordot(_vector("acceleration", acceleration), np.asarray(body.moment2), 1)
     if angular_acceleration is not None:
@@ -193,7 +195,8 @@ def fast_rotation(body: ModalBody, omega: Any, acceleration: Any = None) -> Fast
     mass = np.asarray(body.modal_mass)
     squares, _ = generalized_modes(stiffness_in_motion(body, w, acceleration), mass)
     at_rest, _ = generalized_modes(np.asarray(body.stiffness), mass)
-    stiffened = any(np.any(np.asarray(x)) for x in (body.moment2, body.second_modes)) or _spun(body)
+    second = (body.moment2, body.second_modes, body.rotation_stiffness)
+    stiffened = any(np.any(np.asarray(x)) for x in second)
     speed, lowest = float(np.linalg.norm(w)), squares[0]
     scale = f"lowest squared frequency {lowest:.4g} rad^2/s^2 at {speed:.4g} rad/s"
     softer = lowest < at_rest[0] - 1e-12 * abs(at_rest[0])
@@ -214,16 +217,6 @@ def fast_rotation(body: ModalBody, omega: Any, acceleration: Any = None) -> Fast
             "first-order terms, or use a beam in strain coordinates"
         )
     return FastRotation(bool(lowest >= 0), squares, at_rest, stiffened, status)
-
-
-def _spun(body: ModalBody) -> bool:
-    """Return True if J2 is not that of the displacements in the modes alone.
-
-    -[U_j][U_k] summed is positive semidefinite for j = k, so a negative diagonal is stiffening.
-    """
-    J2 = np.asarray(body.inertia2)
-    least = np.einsum("jjaa->ja", J2).min(initial=0.0)
-    return bool(least < -1e-9 * np.abs(J2).max(initial=0.0))
 
 
 def _vector(name: str, x: Any) -> np.ndarray:

@@ -11,11 +11,13 @@ from rbjax.flexible.modal import (
     BeamSection,
     Interface,
     ModalLayout,
+    ModalLink,
     add_modal_body,
     beam_mesh,
     craig_bampton,
     from_points,
 )
+from rbjax.lanes import Vec3
 from tests.flexible.modal.points import energy, lagrange, random_points
 
 HUB = """<mujoco><option gravity="0 0 0"/><worldbody><body name="hub">
@@ -86,6 +88,28 @@ def test_spin_up_without_stiffening_diverges_in_the_equations():
         least.append(np.linalg.eigvalsh((K + K.T) / 2)[0])
     assert least[0] > 0 > least[1]
     assert abs(least[1] - -21.58) < 0.01
+
+
+def test_mass_matrix_of_a_light_hub_is_positive_definite():
+    """Tip deflections of a fifth of the length: the modes have almost all of the inertia of the
+    hub's joint, so terms of second order in J alone would make it negative.
+    """
+    body = beam()
+    model = add_modal_body(rb.load(HUB), "arm", body, "hub")
+    mass = jax.jit(rb.mass_matrix)
+    rng = np.random.default_rng(0)
+    tip = np.abs(np.asarray(body.modes)[1]).max()
+    for _ in range(20):
+        q = rng.normal(size=5)
+        q[1:] *= 2.0 / tip / np.linalg.norm(q[1:])
+        assert np.linalg.eigvalsh(np.asarray(mass(model, jnp.asarray(q))))[0] > 0
+    # with all terms of second order it is not
+    q = jnp.asarray([0.0, *np.eye(4)[1] * 2.0 / tip])
+    full = ModalLink.of(body, 1e-12, second_order=True).inertia(
+        list(q[1:]), [0.0] * 4, Vec3.zero(), ModalLayout.of(body, 1e-12).values(body)
+    )
+    c = np.array([float(x.ang[2]) for x in full.coupling])
+    assert float(full.rigid.J.dense[8]) - c @ c + 1.0 < 0
 
 
 def test_derivatives_by_the_numbers_of_the_body():
