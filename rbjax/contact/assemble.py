@@ -134,7 +134,7 @@ class Assembly:
         roots = [path[0] for path in self.top.ancestors]
         apart = [pair for pair in self.touching.link_pairs if WORLD not in pair]
         inside = all(roots[a] == roots[b] for a, b in apart) if self.values else not apart
-        rigid = not any(dof.kind.modal for dof in self.top.dofs)
+        rigid = not self.top.frames
         free = self.added is None and not self._rows_of_several_dofs
         return free and rigid and inside
 

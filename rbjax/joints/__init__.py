@@ -19,12 +19,10 @@ from rbjax.joints.joint import (
     DofSpec,
     Joint,
     JointMotion,
-    ModalMotion,
     NodeMotion,
     PosedJoint,
 )
 from rbjax.joints.lower_pairs import HINGE, SLIDE, hinge_motion
-from rbjax.joints.modal import ModalInertia
 from rbjax.joints.node import Node
 from rbjax.joints.registry import kind, kinds, register
 
@@ -41,8 +39,6 @@ __all__ = [
     "Joint",
     "JointMotion",
     "LinkInertia",
-    "ModalInertia",
-    "ModalMotion",
     "Node",
     "NodeMotion",
     "PosedJoint",

@@ -21,9 +21,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from rbjax.joints.joint import Block, DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
-from rbjax.lanes import Lane, Mat3, Vec3, add, inner
+from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, inner, is_zero
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
@@ -128,15 +129,36 @@ class LinkInertia(NamedTuple):
 
 
 class Flexible(Joint):
-    """A flexible link of n coordinates. Subclasses define `name`, `coordinates`, `count`, `frames`.
+    """A flexible link of n coordinates. Subclasses define `name`, `coordinates`, `count`, `poses`.
+
+    Only the poses of the frames are required, and inertias that move with the frames or an inertia
+    of the whole link. By default JAX differentiates the poses for axes and rates. Override `frames`
+    for closed forms.
 
     Class or instance attributes:
         coordinates: n.
         count: the number of frames.
         body_frame: the index of the frame that carries the body of the joint, the last by default.
 
-    The base frame is the joint's frame in the parent, and the body of the joint moves with the
-    frame `body_frame`. Other bodies can be fixed to the other frames.
+    The base frame is at the joint's anchor, with the axes of the body at zero displacement in the
+    parent; the joint's axis is not used. The body of the joint moves with the frame `body_frame`.
+    Other bodies can be fixed to the other frames.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.lanes import Mat3, Sym3, Vec3
+        >>> from rbjax.spatial import RigidInertia, Transform
+        >>> class Stretching(rb.joints.Flexible):  # a spring with a mass at its middle
+        ...     name, coordinates, count = "stretching", 1, 2
+        ...     def poses(self, q, params):
+        ...         at = (0.5 * (1.0 + q[0]), 1.0 + q[0])
+        ...         return [Transform(Mat3.identity(), Vec3(x, 0.0, 0.0)) for x in at]
+        ...     def inertias(self, params):
+        ...         return [RigidInertia(2.0, Vec3.zero(), Sym3.zero()), RigidInertia.zero()]
+        >>> rb.joints.register(Stretching())
+        >>> model = rb.load("<mujoco/>").with_link("spring", rb.joints.kind("stretching"))
+        >>> rb.mass_matrix(model, jnp.zeros(1)).tolist()
+        [[0.5]]
     """
 
     aligned = False
@@ -165,7 +187,15 @@ class Flexible(Joint):
 
         v is structurally zero (all literals) if the velocities are not needed.
         """
-        raise NotImplementedError(f"{type(self).__name__} needs frames(q, v, params)")
+        return differentiated_frames(self, q, v, params)
+
+    def poses(self, q: Sequence[Lane], params: Sequence[Lane]) -> Sequence[Transform]:
+        """Return the pose of each frame in the base frame."""
+        raise NotImplementedError(f"{type(self).__name__} needs poses(q, params)")
+
+    def inertias(self, params: Sequence[Lane]) -> Sequence[RigidInertia]:
+        """Return the rigid inertia that moves with each frame, in its axes, about its origin."""
+        return [RigidInertia.zero()] * self.count
 
     def inertia(
         self, q: Sequence[Lane], v: Sequence[Lane], w: Vec3, params: Sequence[Lane]
@@ -175,6 +205,42 @@ class Flexible(Joint):
         w is the angular velocity of the base frame in its own axes.
         """
         return None
+
+
+def differentiated_frames(
+    link: Flexible, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
+) -> list[FrameMotion]:
+    """Compute `Flexible.frames` from the poses, with derivatives by JAX.
+
+    S_j = [vee(R^T dR/dq_j); R^T dr/dq_j]. The bias is the derivative of S q' along q', plus w x v:
+    it is relative to the base, whose axes do not rotate with the frame.
+    """
+    like = next((x for x in q if hasattr(x, "dtype")), jnp.zeros(()))
+    qs, vs = as_arrays(list(q), like), as_arrays(list(v), like)
+
+    def lanes(*q: Lane) -> list[list[jax.Array]]:
+        return [as_arrays([*T.R, *T.p], like) for T in link.poses(q, params)]
+
+    def along(q: Sequence[jax.Array], rates: Sequence[jax.Array]) -> list[Motion]:
+        values, changes = jax.jvp(lanes, tuple(q), tuple(rates))
+        out = []
+        for value, change in zip(values, changes, strict=True):
+            E = Mat3(*value[:9]).T
+            W = E @ Mat3(*change[:9])
+            out.append(Motion(Vec3(W[7], W[2], W[3]), E @ Vec3(*change[9:])))
+        return out
+
+    units = [[jnp.ones_like(x) if i == j else jnp.zeros_like(x) for i, x in enumerate(qs)]
+             for j in range(len(qs))]  # fmt: skip
+    columns = [along(qs, unit) for unit in units]
+    twists = biases = [Motion.zero()] * link.count
+    if not all(map(is_zero, v)):
+        twists, rates = jax.jvp(lambda *q: along(q, vs), tuple(qs), tuple(vs))
+        biases = [
+            Motion(a.ang, a.lin + V.ang.cross(V.lin)) for V, a in zip(twists, rates, strict=True)
+        ]
+    rest = zip(zip(*columns, strict=True), twists, biases, link.inertias(params), strict=True)
+    return [FrameMotion.at_pose(T, *x) for T, x in zip(link.poses(q, params), rest, strict=True)]
 
 
 @jax.tree_util.register_dataclass

@@ -19,7 +19,6 @@ from typing import Any, ClassVar, Protocol
 
 import jax
 
-from rbjax.joints.modal import RIGID, ModalInertia
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
@@ -67,14 +66,7 @@ class JointMotion:
 
     def inertia(self, dof: Placed) -> RigidInertia:
         """Return the inertia of the link about its origin, in its axes."""
-        return dof.inertia + self.modal.rigid
-
-    def velocity_forces(self, w: Vec3) -> tuple[Force, Lane]:
-        """Return the velocity-dependent wrench and joint force that a flexible link adds.
-
-        w is the angular velocity of the link in its own axes.
-        """
-        return self.modal.velocity_forces(self.modal_slope, w, self.qd)
+        return dof.inertia
 
     @property
     def frame_axes(self) -> tuple[Motion, ...] | None:
@@ -108,7 +100,7 @@ class JointMotion:
 
         V is the twist of the link. Both are in its axes, at its origin.
         """
-        return self.modal.rigid, self.modal.rigid(V) + self.modal.coupling * self.qd
+        return RigidInertia.zero(), Force.zero()
 
     def link_inertia(self, w: Vec3) -> Any:
         """Return the `LinkInertia` of a flexible link at its last coordinate, otherwise None.
@@ -120,16 +112,6 @@ class JointMotion:
     def transform(self, dof: Placed) -> Transform:
         """Return the pose of the frame in its parent."""
         return Transform(dof.R @ self.J, dof.p + dof.R @ self.at)
-
-    @property
-    def modal(self) -> ModalInertia:
-        """The inertia of a flexible link, in addition to its bodies, in the axes of the frame."""
-        return RIGID
-
-    @property
-    def modal_slope(self) -> ModalInertia:
-        """The derivative of `modal` by the coordinate."""
-        return RIGID
 
     @property
     def twist(self) -> Motion:
@@ -181,34 +163,6 @@ class NodeMotion(JointMotion):
         return self.turn
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class ModalMotion(NodeMotion):
-    """The motion of a dof whose link has a modal inertia.
-
-    Fields: `mode` is `modal`, and `slope` is `modal_slope`.
-    """
-
-    mode: ModalInertia
-    slope: ModalInertia
-
-    @classmethod
-    def of(cls, motion: JointMotion) -> ModalMotion:
-        """Convert a joint motion to a `ModalMotion`."""
-        if isinstance(motion, cls):
-            return motion
-        m = NodeMotion.of(motion)
-        return cls(m.J, m.at, m.S, m.rate, m.qd, m.lin, m.drift, m.turn, RIGID, RIGID)
-
-    @property
-    def modal(self) -> ModalInertia:
-        return self.mode
-
-    @property
-    def modal_slope(self) -> ModalInertia:
-        return self.slope
-
-
 class PosedJoint:
     """A joint motion with a precomputed pose of its frame."""
 
@@ -238,7 +192,6 @@ class DofKind(abc.ABC):
         shared_axis: True if S is the same for all joints of the kind; otherwise override `axis`.
         rigid_to_previous: True if the frame does not move relative to the frame of the previous
             dof, which has the motion of both.
-        modal: True if the link has a modal inertia.
     """
 
     angular: ClassVar[float] = 0.0
@@ -246,7 +199,6 @@ class DofKind(abc.ABC):
     constant_axis: ClassVar[bool] = True
     shared_axis: ClassVar[bool] = True
     rigid_to_previous: ClassVar[bool] = False
-    modal: bool = False
 
     def axis(self, params: Sequence[Lane]) -> Motion:
         """Return S in the frame's axes, if it is constant, from the parameters of the joint."""

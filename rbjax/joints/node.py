@@ -14,18 +14,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rbjax.errors import InputError
 from rbjax.joints.joint import (
     DofKind,
     DofSpec,
     Joint,
     JointMotion,
-    ModalMotion,
     NodeMotion,
     Placed,
 )
-from rbjax.joints.modal import ModalInertia
-from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, is_literal, is_zero
+from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, is_zero
 from rbjax.spatial import Motion, Transform
 
 
@@ -84,14 +81,6 @@ class Node(Joint):
         vs = [jnp.broadcast_to(jnp.asarray(x, qs[0].dtype), qs[0].shape) for x in v]
         return Motion.from_lanes(jax.jvp(lanes, tuple(qs), tuple(vs))[1])
 
-    def inertia(self, q: Sequence[Lane], params: Sequence[Lane]) -> ModalInertia | None:
-        """Return the inertia of a flexible link, in the joint's frame at the anchor.
-
-        Override it for a link whose mass moves with the coordinate, such as a beam in an assumed
-        mode. It is in addition to the inertia of the body. The joint must have one coordinate.
-        """
-        return None
-
 
 class NodeDof(DofKind):
     """Dof k of a node. Dof 0 has the whole motion, and all further dofs only their axes."""
@@ -100,7 +89,6 @@ class NodeDof(DofKind):
 
     def __init__(self, joint: Node, k: int):
         self.joint, self.k = joint, k
-        self.modal = k == 0 and type(joint).inertia is not Node.inertia
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
         joint, params, zero = self.joint, dof.params, Motion.zero()
@@ -121,64 +109,7 @@ class NodeDof(DofKind):
         # add omega x v: the bias is relative to the parent, whose axes do not rotate with the body
         bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
         axis, rate = every[0]
-        lanes = at.R, at.p, axis, twist.ang, v[0], twist.lin, bias, rate
-        return ModalMotion(*lanes, *_modal(joint, q, params)) if self.modal else NodeMotion(*lanes)
-
-
-def _modal(
-    joint: Node, q: Sequence[Lane], params: Sequence[Lane]
-) -> tuple[ModalInertia, ModalInertia]:
-    """Compute the modal inertia in the body's frame, and its derivative by the coordinate."""
-    qs, shape = _arrays(q), {}
-
-    def lanes(*q: Lane) -> list[jax.Array]:
-        given = joint.inertia(q, params)
-        assert given is not None  # `register` checks it
-        moved = given.at_frame(joint.pose(q, params), joint.axis(q, params, 0))
-        shape["leaves"], shape["tree"] = jax.tree.flatten(moved)
-        return as_arrays([x for x in shape["leaves"] if not is_literal(x)], qs[0])
-
-    found = jax.jvp(lanes, tuple(qs), tuple(jnp.ones_like(x) for x in qs))
-
-    def with_literals(arrays: Sequence[jax.Array], keep: float) -> ModalInertia:
-        rest = iter(arrays)
-        out = [x * keep if is_literal(x) else next(rest) for x in shape["leaves"]]
-        return jax.tree.unflatten(shape["tree"], out)
-
-    return with_literals(found[0], 1.0), with_literals(found[1], 0.0)
-
-
-def check_modal(joint: Node) -> None:
-    """Check the modal inertia of a kind, if it has one, at two values of its coordinate."""
-    if type(joint).inertia is Node.inertia:
-        return
-    name = type(joint).__name__
-    if joint.coordinates != 1:
-        raise InputError(
-            f"register: {name} has a modal inertia and {joint.coordinates} coordinates, expected "
-            "1; give each mode a link of its own, in series"
-        )
-    for q in (0.0, 0.3):
-
-        def moments(q: jax.Array) -> list[jax.Array]:
-            found = joint.inertia([q], joint.defaults)
-            if not isinstance(found, ModalInertia):
-                raise InputError(
-                    f"register: {name}.inertia returned {type(found).__name__}, expected "
-                    "rbjax.joints.ModalInertia(rigid, coupling, mass)"
-                )
-            return as_arrays([*found.rigid.h, *found.coupling.lin, found.rigid.m], q)
-
-        value, rate = jax.jvp(moments, (jnp.asarray(q),), (jnp.asarray(1.0),))
-        h_rate, lin = jnp.stack(rate[:3]), jnp.stack(value[3:6])
-        scale = jnp.abs(jnp.stack([*value, *rate])).max() * 1e4 * jnp.finfo(lin.dtype).eps
-        if not bool((jnp.abs(h_rate - lin) <= scale).all()) or bool(rate[6] != 0):
-            raise InputError(
-                f"register: {name}.inertia at q = {q}: the linear part of the coupling is "
-                f"{[round(float(x), 6) for x in lin]}, and the mass has the derivative "
-                f"{float(rate[6]):.3g}, expected a constant mass and the derivative of the first "
-                f"moment, {[round(float(x), 6) for x in h_rate]}"
-            )
+        return NodeMotion(at.R, at.p, axis, twist.ang, v[0], twist.lin, bias, rate)
 
 
 def _arrays(q: Sequence[Lane]) -> list[jax.Array]:

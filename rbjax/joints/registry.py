@@ -5,7 +5,6 @@ from __future__ import annotations
 from rbjax.errors import InputError, UnknownName
 from rbjax.joints import lower_pairs as pairs
 from rbjax.joints.joint import Joint
-from rbjax.joints.node import Node, check_modal
 
 _ALL = (
     pairs.Hinge(), pairs.Slide(), pairs.Ball(), pairs.Free(),
@@ -53,8 +52,7 @@ def register(joint: Joint) -> None:
 
     Raises:
         InputError: `joint` is not a joint, its name is not a string, or its name belongs to a
-            built-in kind or to another class; its modal inertia is not a `ModalInertia`, or its
-            coupling is not the derivative of its first moment.
+            built-in kind or to another class.
 
     See `rbjax.joints.Node` for an example.
     """
@@ -65,8 +63,6 @@ def register(joint: Joint) -> None:
     name = getattr(joint, "name", None)
     if not isinstance(name, str) or not name:
         raise InputError(f"register: {type(joint).__name__}.name is {name!r}, expected a string")
-    if isinstance(joint, Node):
-        check_modal(joint)
     there = _KINDS.get(name)
     if there is not None and (name in _BUILT_IN or _class_of(there) != _class_of(joint)):
         raise InputError(

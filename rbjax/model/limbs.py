@@ -4,7 +4,7 @@ A *limb* is the subtree of a joint whose parent link is the world or has several
 with equal trees of joint kinds form a *group* and share one program. All links outside groups are
 the *trunk*. Groups are chosen greedily: the group that saves most links is chosen first.
 
-In trees with flexible links, the limbs of a group follow each other: a cable of equal beams.
+In trees with flexible links the limbs of a group may follow each other, as a cable of equal beams.
 """
 
 from __future__ import annotations
@@ -47,17 +47,24 @@ class Partition(NamedTuple):
 
 @lru_cache(maxsize=256)
 def partition(top: Topology) -> Partition:
-    """Partition the links of a robot into a trunk and groups of equal limbs."""
-    if top.frames:
-        return partition_series(top)
+    """Partition the links of a robot into a trunk and groups of equal limbs.
+
+    If a tree with flexible links has no equal limbs in parallel, limbs in series are a group.
+    """
+    found = partition_parallel(top)
+    return partition_series(top) if top.frames and not found.groups else found
+
+
+def partition_parallel(top: Topology) -> Partition:
+    """Partition the links of a robot into a trunk and groups of equal limbs in parallel."""
     children: dict[int, list[int]] = {}
     for i, parent in enumerate(top.parents):
         children.setdefault(parent, []).append(i)
     numbers: dict[tuple, int] = {}  # shape of a subtree -> its number
-    shapes = [0] * top.nv
-    members: list[tuple[int, ...]] = [()] * top.nv
-    for i in reversed(range(top.nv)):
-        link = top.dofs[i]
+    shapes = [0] * len(top.links)
+    members: list[tuple[int, ...]] = [()] * len(top.links)
+    for i in reversed(top.order):
+        link = top.links[i]
         below = sorted(children.get(i, ()), key=lambda k: (shapes[k], k))
         shape = (link.spec, *(shapes[k] for k in below))
         shapes[i] = numbers.setdefault(shape, len(numbers))
@@ -82,7 +89,7 @@ def partition(top: Topology) -> Partition:
         groups.append(_group(top, [members[i] for i in best]))
         for i in best:
             taken.update(members[i])
-    trunk = tuple(i for i in range(top.nv) if i not in taken)
+    trunk = tuple(i for i in top.order if i not in taken)
     return Partition(trunk, tuple(sorted(groups, key=lambda group: group.links[0][0])))
 
 

@@ -235,11 +235,6 @@ class Topology:
         return tuple(path(i) for i in range(len(self.parents)))
 
     @cached_property
-    def flexible(self) -> bool:
-        """True if a link is flexible or has a modal inertia."""
-        return bool(self.frames) or any(dof.kind.modal for dof in self.dofs)
-
-    @cached_property
     def constant_axes(self) -> bool:
         """True if the axis of each dof is constant in the frame of the dof."""
         return all(dof.kind.constant_axis for dof in self.links)

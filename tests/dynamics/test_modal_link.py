@@ -11,7 +11,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.algorithms.energy import momentum_and_rate
-from rbjax.errors import InputError, ModelError
+from rbjax.errors import ModelError
 from rbjax.lanes import Mat3, Sym3, Vec3, add, mul, sincos
 from rbjax.spatial import Force, RigidInertia, Transform
 
@@ -35,10 +35,10 @@ def at_points(q, params):
         yield mul(mass, weight), at, Vec3(mul(2.0, mul(short, q)), y, 0.0)
 
 
-class Beam(rb.joints.Node):
-    """A beam whose body is its tip."""
+class Massless(rb.joints.Node):
+    """The motion of the tip without the mass of the beam."""
 
-    name, coordinates = "modal_beam", 1
+    name, coordinates = "modal_massless", 1
     params = {"length": 1.0, "mass": MASS}  # noqa: RUF012
 
     def pose(self, q, params):
@@ -46,18 +46,45 @@ class Beam(rb.joints.Node):
         tip = Vec3(params[0] - 0.6 / params[0] * q[0] * q[0], q[0], 0.0)
         return Transform(Mat3(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0), tip)
 
-    def inertia(self, q, params):
-        rigid, C, m = RigidInertia.zero(), Force.zero(), 0.0
-        for mass, r, d in at_points(q[0], params):
+
+class Beam(rb.joints.Flexible):
+    """A beam whose body is its tip, and whose inertia over base and mode is a sum over points."""
+
+    name, coordinates, count = "modal_beam", 1, 1
+    params = Massless.params
+
+    def poses(self, q, params):
+        return [Massless().pose(q, params)]
+
+    def inertia(self, q, v, w, params):
+        rigid, C, m, force, own = RigidInertia.zero(), Force.zero(), 0.0, Force.zero(), 0.0
+        short = Vec3(1.0, 0.0, 0.0)
+        for (mass, r, d), (x, _) in zip(at_points(q[0], params), POINTS, strict=True):
             rigid = rigid + RigidInertia(mass, Vec3.zero(), Sym3.zero()).shifted(r)
             C, m = C + Force(r.cross(d), d) * mass, add(m, mul(mass, d.dot(d)))
-        return rb.joints.ModalInertia(rigid, C, m)
+            turned = w.cross(w.cross(r))
+            bias = short * mul(-1.2 * x**3 / params[0], mul(v[0], v[0])) + w.cross(d * v[0]) * 2.0
+            force = force + Force(r.cross(bias), bias) * mass
+            own = add(own, mul(mass, d.dot(bias + turned)))
+        return rb.joints.LinkInertia(rigid, (C,), ((m,),), force, (own,))
 
 
-class Massless(Beam):
-    """The motion of the tip without the mass of the beam."""
+class AtFrames(Beam):
+    """The same beam, with its points as frames."""
 
-    name, inertia = "modal_massless", rb.joints.Node.inertia
+    name, count = "modal_beam_at_frames", 1 + len(POINTS)
+
+    def poses(self, q, params):
+        points = at_points(q[0], params)
+        return [*(Transform(Mat3.identity(), r) for _, r, _ in points), *super().poses(q, params)]
+
+    def inertias(self, params):
+        points = at_points(0.0, params)
+        own = [RigidInertia(mass, Vec3.zero(), Sym3.zero()) for mass, _, _ in points]
+        return [*own, RigidInertia.zero()]
+
+    def inertia(self, q, v, w, params):
+        return None
 
 
 class Root(Massless):
@@ -69,7 +96,7 @@ class Root(Massless):
         return Transform(Mat3.identity(), Vec3.zero())
 
 
-for kind in (Beam(), Massless(), Root()):
+for kind in (Beam(), AtFrames(), Massless(), Root()):
     rb.joints.register(kind)
 
 LIMB = """<body name="tip{n}" pos="0.2 0.05 0" euler="20 30 10">
@@ -289,31 +316,19 @@ def test_rows_of_constraints_hold_a_flexible_link() -> None:
         np.testing.assert_allclose(a, found[0], rtol=1e-9, atol=1e-9)
 
 
-def test_rejected() -> None:
+def test_the_regressor_rejects_a_flexible_link() -> None:
     model, q, v, a = moving()
-    with pytest.raises(ModelError, match=r"modal inertia.*joints\.params"):
+    with pytest.raises(ModelError, match=r"flexible.*joints\.params"):
         rb.inertial_regressor(model, q, v, a)
 
-    class Two(Beam):
-        name, coordinates = "modal_two", 2
 
-    class Uncoupled(Beam):
-        name = "modal_uncoupled"
-
-        def inertia(self, q, params):
-            found = super().inertia(q, params)
-            return rb.joints.ModalInertia(found.rigid, found.coupling * 2.0, found.mass)
-
-    class Other(Beam):
-        name = "modal_other"
-
-        def inertia(self, q, params):
-            return RigidInertia.zero()
-
-    for joint, words in (
-        (Two(), "2 coordinates, expected 1"),
-        (Uncoupled(), "derivative of the first moment"),
-        (Other(), "returned RigidInertia, expected"),
-    ):
-        with pytest.raises(InputError, match=words):
-            rb.joints.register(joint)
+@pytest.mark.slow
+def test_an_inertia_over_base_and_mode_equals_points_at_frames() -> None:
+    _, q, v, a = moving()
+    other = arm("modal_beam_at_frames")
+    got = jax.jit(functools.partial(everything, other))(q, v, a)
+    for name, want in found().items():
+        pairs = zip(jax.tree.leaves(got[name]), jax.tree.leaves(want), strict=True)
+        for x, y in pairs:
+            if name != "C":  # C is not unique
+                np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-12, err_msg=name)

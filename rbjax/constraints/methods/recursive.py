@@ -151,9 +151,7 @@ def cluster_problem(
         moved = d.whole(transmitted_forces(d, joints, d.lanes(None), gravity, f_ext))
         tree = ClusterTree(d, joints, [X for X, *_ in moved], rows, found, tau)
         own = {i: -f for i, (_, f, *_) in enumerate(moved)}
-        modes = [mode for _, _, mode, _ in moved]
-        left = tau if all(map(is_zero, modes)) else tau - pack(modes, tau)
-        return lambda f, c: tree.solve(left, own, c) if f is None else tree.solve(f, {}, c)
+        return lambda f, c: tree.solve(tau, own, c) if f is None else tree.solve(f, {}, c)
 
     return LinearProblem(None, None, factor)
 

@@ -2,10 +2,9 @@
 
 The recursion uses the classical acceleration of each link's origin (Newton-Euler form). It then
 needs no linear velocities (Luh, Walker & Paul 1980). Forces add as spatial forces about the origin.
-C and m are the coupling and the mass of a mode, zero for a rigid link (joints/modal.py).
 
     outward   w = E w_p + rate;   c = bias acceleration;   p = [w x J w; w x (w x h)]
-    inward    U = I_A S + C;  D = S.U + S.C + m + armature;  u = tau - S.p_A
+    inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
               to the parent: X^T (I_A - U U^T / D),  X^T (p_A + I_a c + U u / D)
     outward   a' = X(a_p) + c;  qdd = (u - U.a') / D;  a = a' + S qdd
 
@@ -56,7 +55,7 @@ from rbjax.dynamics.tracing.custom_rules import (
 )
 from rbjax.errors import ModelError
 from rbjax.joints import Block, JointMotion
-from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero, sub
+from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero
 from rbjax.model import LinkConstants, Model, with_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
@@ -92,17 +91,16 @@ def eliminate(
         return I_A, FrameFactor(X, joint.frame_axes), columns_of_frame(joint.frame_axes, X, I_A)
     if joint.coordinate_of is not None:
         return eliminate_coordinate(link.armature, X, I_A, block, joint.coordinate_of)
-    S, modal = joint.S, joint.modal
-    U = I_A(S) + modal.coupling
-    more = add(link.armature, add(modal.mass, S.dot(modal.coupling)))
-    D = add(S.dot(U), more)
+    S = joint.S
+    U = I_A(S)
+    D = add(S.dot(U), link.armature)
     if is_zero(D):
         raise ModelError(
             "a joint of the model moves no mass, so the mass matrix is singular; give its body "
             "mass and inertia (bodies.mass, bodies.inertia), or the joint armature"
         )
     inverse_D = 1.0 / D
-    return I_A.without(U, inverse_D, S, more), Factor(X, S, U, inverse_D), ()
+    return I_A.without(U, inverse_D, S, link.armature), Factor(X, S, U, inverse_D), ()
 
 
 def to_parent(
@@ -143,15 +141,15 @@ def aba(
 
     def inward(x, message):
         (link, joint, tau, push), motion = x
-        inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(motion.w)
-        p_A = inertia.bias_force(motion.w) + f - push + message.p_A
+        inertia = joint.inertia(link)
+        p_A = inertia.bias_force(motion.w) - push + message.p_A
         I_A, columns, forces = inertia.articulated() + message.I_A, message.columns, message.forces
         own = joint.link_inertia(motion.w)
         if own is not None:
             I_A, p_A = I_A + own.rigid.articulated(), p_A + own.bias_force(motion.w)
             columns, forces = add_columns(own, columns), add_blocks(own.forces, forces)
         I_a, factor, columns = eliminate(link, joint, motion.X, I_A, columns)
-        u, p_a, forces = factor.inward(sub(tau, modal), p_A, forces, I_a(motion.c))
+        u, p_a, forces = factor.inward(tau, p_A, forces, I_a(motion.c))
         mass = rigid_mass(link, joint, message.I_A)
         I_parent = to_parent(motion.X, I_a, factor, mass)
         return Message(I_parent, motion.X.T(p_a), columns, forces), (factor, u, motion.c)

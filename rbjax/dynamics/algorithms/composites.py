@@ -65,13 +65,9 @@ def axis_twists(d: Driver, V: Any) -> Any:
 
 def link_inertias(d: Driver, poses: Any, joints: Any) -> Any:
     """Compute the inertia of each link in world axes."""
-    inertias = d.each(
+    return d.each(
         lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
     )
-    if not d.topology.flexible:
-        return inertias
-    modal = d.each(lambda pose, modal: pose.rigid_to_parent(modal.rigid), poses, d.modes(joints)[0])
-    return d.each(RigidInertia.__add__, inertias, modal)
 
 
 class Coriolis(NamedTuple):

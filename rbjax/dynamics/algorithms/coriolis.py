@@ -13,13 +13,11 @@ C is linear in v. Its values at the unit velocities give the coefficients of Lag
 
 from __future__ import annotations
 
-import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask
 from rbjax.dynamics.algorithms.composites import (
     Coriolis,
     axis_rates,
@@ -33,12 +31,11 @@ from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.flexible_coriolis import flexible_coriolis_matrix
 from rbjax.dynamics.algorithms.rnea import gravity_forces
 from rbjax.dynamics.arguments import check_arrays
-from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.pairs import pair_matrix
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.lanes import mul
 from rbjax.model import Model
-from rbjax.spatial import Force, Motion, RigidInertia
+from rbjax.spatial import RigidInertia
 
 
 @algorithm("q", "v")
@@ -83,44 +80,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     both = d.each(forces, S, S_rate, composite)
     outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)
     axes = d.each(lambda S, S_rate: (*S_rate, *S.ang), S, S_rate)
-    C = pair_matrix(d, (S, outer), (inner, axes), v)
-    return C + _of_modes(d, joints, poses, S, S_rate, V, v) if model.topology.flexible else C
-
-
-def _of_modes(
-    d: Driver, joints: Any, poses: Any, S: Any, S_rate: Any, V: Any, v: jax.Array
-) -> jax.Array:
-    """Compute the part of the Coriolis matrix C that modal inertias add to their rigid inertias.
-
-    With J extended by the row of the coordinate, the blocks of B for a link with the rate q' are
-    [q' I_q / 2, V x* C + q' C_q + I_q V / 2; -(I_q V)^T / 2, q' m_q / 2].
-    """
-
-    def in_world(pose, V, modal, slope):
-        I_q, C, C_q = (
-            pose.rigid_to_parent(slope.rigid), pose.T(modal.coupling), pose.T(slope.coupling),
-        )  # fmt: skip
-        return I_q, C, V.cross_force(C), C_q, I_q(V) * -0.5, mul(0.5, slope.mass)
-
-    found = d.each(in_world, poses, V, *d.modes(joints))
-    axes, rates = (d.stack(x, list, v) for x in (S, S_rate))
-    out = jnp.zeros((len(v), len(v)), v.dtype)
-    for i in (i for i, dof in enumerate(d.topology.dofs) if dof.kind.modal):
-        here = d.take(found, [i])
-        I_q, C, VC, C_q, lever, half_m = here[0] if d.listed else here
-        moves = jnp.asarray(ancestor_mask(d.topology, i), v.dtype)[:, None]
-        J, J_rate = (Motion.from_lanes((x * moves).T) for x in (axes, rates))
-        column = J.dot(VC + C_q * v[i] - lever)
-        row = J_rate.dot(C) + J.dot(lever)
-        out = out.at[:, i].add(column).at[i].add(row).at[i, i].add(jnp.squeeze(half_m * v[i]))
-        out = out + _products(J, I_q(J) * (0.5 * v[i]))
-    return out
-
-
-def _products(a: Motion, b: Force) -> jax.Array:
-    """Compute the matrix with the entries a_i . b_j."""
-    pairs = zip(a, b, strict=True)
-    return functools.reduce(jnp.add, (x[:, None] * jnp.asarray(y)[None] for x, y in pairs))
+    return pair_matrix(d, (S, outer), (inner, axes), v)
 
 
 class LagrangeCoefficients(NamedTuple):

@@ -32,7 +32,7 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
     """Run one inward step. Return the pose of a link in its parent, I_c and F = I_c S."""
     link, joint = x
     I_c = joint.inertia(link) + children
-    return joint.transform(link), I_c, I_c(joint.S) + joint.modal.coupling
+    return joint.transform(link), I_c, I_c(joint.S)
 
 
 def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
@@ -50,11 +50,10 @@ def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     motions = d.whole(joints)
     axes = [joint.S for joint in motions]
     armatures = [link.armature for link in d.whole(d.constants)]
-    modes = [joint.modal.momentum(joint.S, 1.0)[1] for joint in motions]
     n = len(axes)
     M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     for i, (X, F) in enumerate(ys):
-        M[i][i] = add(add(axes[i].dot(F), armatures[i]), modes[i])
+        M[i][i] = add(axes[i].dot(F), armatures[i])
         j = i
         while d.topology.parents[j] != WORLD:
             F = fusion_barrier(X.T(F))
@@ -83,8 +82,8 @@ def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
         if joint.coordinate_of is not None:
             *rest, (F, row) = columns
         else:
-            F = I_c(joint.S) + joint.modal.coupling
-            rest, row = [], (add(joint.S.dot(F), joint.modal.momentum(joint.S, 1.0)[1]),)
+            F = I_c(joint.S)
+            rest, row = [], (joint.S.dot(F),)
         return (X.rigid_to_parent(I_c), tuple(rest)), (X, Column(F, row))
 
     ys = d.whole(d.inward(step, (RigidInertia.zero(), ()), d.zip(d.constants, joints)))
@@ -113,12 +112,7 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     S = link_axes(d, poses, joints)
     I_c = subtree_sums(d, link_inertias(d, poses, joints), RigidInertia.zero())
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    if not d.topology.flexible:
-        return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
-    modal, axes = d.modes(joints)[0], d.whole_axes(joints)
-    F = d.each(lambda F, pose, x: F + pose.T(x.coupling), F, poses, modal)
-    own = d.stack(d.each(lambda x, S: (x.momentum(S, 1.0)[1],), modal, axes), list, like)
-    return with_armature(d, pair_matrix(d, (S, F), (F, S), like) + jnp.diag(own[:, 0]))
+    return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
 
 def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:

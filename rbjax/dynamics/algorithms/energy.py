@@ -64,13 +64,12 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
     def step(x, children):
         link, joint, V = x
-        coupled, along = joint.modal.momentum(V, joint.qd)
-        h = joint.inertia(link)(V) + coupled
+        h = joint.inertia(link)(V)
         twice = add(V.dot(h), mul(link.armature, mul(joint.qd, joint.qd)))
         own = joint.link_inertia(Vec3.zero())
         if own is not None:
             twice = add(twice, own.twice_kinetic_energy(V, joint.v))
-        return (), add(twice, mul(along, joint.qd))
+        return (), twice
 
     twice = d.inward(step, (), d.zip(d.constants, joints, twists))
     return d.columns(twice, jnp.zeros(len(d.topology.links), v.dtype)).sum() / 2
@@ -93,8 +92,8 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
     _, com, mass = _centres(model, q)
     gravity = model.gravity.astype(q.dtype)
     energy = -(mass * (com * gravity).sum(-1)).sum()
-    if model.topology.flexible:
-        energy = energy - (_of_modes(model, q)[1] * gravity).sum()
+    if model.topology.frames:
+        energy = energy - (_of_flexible_links(model, q)[1] * gravity).sum()
     return energy
 
 
@@ -144,8 +143,8 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     center = _center(model, q, com, mass)
     momentum = mass[:, None] * speed
     whole = jnp.concatenate([(spin + jnp.cross(com - center, momentum)).sum(0), momentum.sum(0)])
-    if model.topology.flexible:
-        h = _of_modes(model, q, v)[2]
+    if model.topology.frames:
+        h = _of_flexible_links(model, q, v)[2]
         whole = whole + h.at[:3].add(-jnp.cross(center, h[3:]))
     return whole
 
@@ -161,13 +160,13 @@ def _centres(model: Model, q: jax.Array):
 def _center(model: Model, q: jax.Array, com: jax.Array, mass: jax.Array) -> jax.Array:
     """Compute the center of mass from the centers and masses of the bodies."""
     moment, whole = (mass[:, None] * com).sum(0), mass.sum()
-    if model.topology.flexible:
-        modal_mass, modal_moment, _ = _of_modes(model, q)
-        moment, whole = moment + modal_moment, whole + modal_mass
+    if model.topology.frames:
+        more_mass, more_moment, _ = _of_flexible_links(model, q)
+        moment, whole = moment + more_moment, whole + more_mass
     return moment / whole
 
 
-def _of_modes(
+def _of_flexible_links(
     model: Model, q: jax.Array, v: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Sum mass, first moment (3,) and momentum (6,) of the inertias of joints, at the origin."""
@@ -207,13 +206,10 @@ def momentum_and_rate(
     def inward(x, children):
         (link, joint, tau, f_ext), (X, V, g) = x
         inertia, weight = joint.inertia(link), Motion(Vec3.zero(), g)
-        coupled, along = joint.modal.momentum(V, joint.qd)
-        h = inertia(V) + coupled + children[0]
+        h = inertia(V) + children[0]
         f = inertia(weight) + f_ext + children[1]
-        p = add(add(joint.S.dot(h), mul(link.armature, joint.qd)), along)
+        p = add(joint.S.dot(h), mul(link.armature, joint.qd))
         rate = add(joint.S.dot(f - V.cross_force(h)), add(joint.S_rate.dot(h), tau))
-        force = joint.modal_slope.kinetic_energy(V, joint.qd)  # dL/dq of the link's own inertia
-        rate = add(rate, add(force, joint.modal.coupling.dot(weight)))
         return (X.T(h), X.T(f)), (p, rate)
 
     d = driver(model, q.dtype)

@@ -19,10 +19,10 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.body_jacobians import body_jacobians
 from rbjax.dynamics.algorithms.manifold import integrate
-from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.joints import LinkInertia
 from rbjax.lanes import Vec3, as_arrays, matmat, matvec
-from rbjax.model import Model
+from rbjax.model import Model, prepare
 from rbjax.spatial import Force, Motion, RigidInertia
 
 
@@ -32,7 +32,7 @@ def flexible_coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Ar
     J, J_rate = jax.jvp(
         lambda h: body_jacobians(model, integrate(model, q, h * v)), (h,), (jnp.ones_like(h),)
     )
-    d = driver(model, q.dtype)
+    d = Unrolled(model, prepare(model, q.dtype))
     C = jnp.zeros((model.nv, model.nv), q.dtype)
     for i, (link, joint) in enumerate(zip(d.constants, d.joints(q, v), strict=True)):
         M = rigid_matrix(joint.inertia(link), q.dtype)

@@ -80,7 +80,7 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         a: (nv,) acceleration.
 
     Raises:
-        ModelError: a link has a modal inertia.
+        ModelError: a link is flexible.
 
     Source: Khalil & Dombre, ch. 12; Atkeson, An & Hollerbach (1986).
 
@@ -91,10 +91,10 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         >>> rb.inertial_regressor(model, s.q, s.v, s.v).shape
         (2, 20)
     """
-    if model.topology.flexible:
+    if model.topology.frames:
         raise ModelError(
-            "inertial_regressor: a link of the model has a modal inertia, which its ten inertial "
-            "parameters do not describe; differentiate inverse_dynamics by the parameters of the "
+            "inertial_regressor: a link of the model is flexible, and ten inertial parameters do "
+            "not describe its inertia; differentiate inverse_dynamics by the parameters of the "
             "joint (joints.params) instead"
         )
     if not model.nv:

@@ -1,7 +1,7 @@
 """Recursive Newton-Euler algorithm: inverse dynamics in O(n) (Luh, Walker & Paul 1980).
 
     outward   w = E w_p + rate;   a = X(a_p) + c + S qdd       (classical accelerations)
-              f = I a + [w x J w; w x (w x h)] - f_ext            (and a mode's: joints/modal.py)
+              f = I a + [w x J w; w x (w x h)] - f_ext
     inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
 
 A frame of a flexible link sends the generalized forces S_j.f of the coordinates too (the block).
@@ -111,20 +111,19 @@ def _to_link(R: Mat3, arm: Vec3, wrench: Force) -> Force:
 def newton_euler(x: Any, parent: Accelerated) -> tuple[Accelerated, Any]:
     """Run one outward step of RNEA.
 
-    Return the pose of a link in its parent, I a + bias force - f_ext, the modal joint force, and
-    the inertial forces of the coordinates of a flexible link.
+    Return the pose of a link in its parent, I a + bias force - f_ext, and the inertial forces of
+    the coordinates of a flexible link.
     """
     link, joint, qdd, f_ext = x
     X = joint.transform(link)
     w, a, block = here = ACCELERATION.step(Hop(X, joint, qdd), parent)
-    inertia, (f, modal) = joint.inertia(link), joint.velocity_forces(w)
-    coupled, along = joint.modal.momentum(a, qdd)
-    f = inertia(a) + inertia.bias_force(w) + (coupled + f) - f_ext
+    inertia = joint.inertia(link)
+    f = inertia(a) + inertia.bias_force(w) - f_ext
     own = joint.link_inertia(w)
     if own is None:
-        return here, (X, f, add(along, modal), ())
+        return here, (X, f, ())
     wrench, forces = own.inertial_forces(w, a, block)
-    return here, (X, f + wrench, 0.0, forces)
+    return here, (X, f + wrench, forces)
 
 
 def rnea(
@@ -133,10 +132,10 @@ def rnea(
     """Compute the generalized forces from the joint accelerations, both per link."""
 
     def inward(x, children):
-        (link, joint, qdd, _), (X, f, modal, forces) = x
+        (link, joint, qdd, _), (X, f, forces) = x
         f = f + children[0]
         tau, block = joint.project(f, add_blocks(forces, children[1]))
-        return (X.T(f), block), add(add(tau, mul(link.armature, qdd)), modal)
+        return (X.T(f), block), add(tau, mul(link.armature, qdd))
 
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.out_and_in(newton_euler, _root(gravity), inward, NO_FORCE, xs)
@@ -146,7 +145,7 @@ def transmitted_forces(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, f_ext: LinkForces | None = None
 ) -> Any:
     """Compute the pose of each link in its parent, I a + bias force - f_ext, and the inertial
-    forces of its mode and of its coordinates, per link."""
+    forces of the coordinates of a flexible link, per link."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, f_ext))
     return d.outward(newton_euler, _root(gravity), xs)
 

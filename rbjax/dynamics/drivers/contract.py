@@ -118,16 +118,6 @@ class Driver(abc.ABC):
         S, S_rate = self.unzip(self.outward(step, (), joints), 2)
         return S, S_rate
 
-    def modes(self, joints: PerLink) -> tuple[Whole, Whole]:
-        """Return the modal inertia of each link and its derivative by the coordinate, as `whole`
-        does."""
-
-        def step(joint: JointMotion, _: tuple) -> tuple[tuple, tuple]:
-            return (), (joint.modal, joint.modal_slope)
-
-        modal, slope = self.unzip(self.outward(step, (), joints), 2)
-        return self.whole(modal), self.whole(slope)
-
     def whole_axes(self, joints: PerLink) -> Whole:
         """Return the axis S of each link in its own axes: a list, or columns over all links."""
         kinds = [dof.kind for dof in self.topology.dofs]

@@ -26,7 +26,6 @@ from rbjax.joints import (
     SLIDE,
     DofKind,
     JointMotion,
-    ModalMotion,
     NodeMotion,
     PosedJoint,
     hinge_motion,
@@ -312,8 +311,7 @@ def joint_columns(
         moves = jnp.where(slide, at, 0.0)
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
     varying = not all(link.kind.constant_axis for link in links)
-    flexible = any(link.kind.modal for link in links)
-    general = ModalMotion.of if flexible else NodeMotion.of if varying else lambda motion: motion
+    general = NodeMotion.of if varying else lambda motion: motion
     motion = general(motion)
 
     def with_kind(motion: JointMotion, kind: DofKind, rows: np.ndarray) -> JointMotion:
