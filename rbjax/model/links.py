@@ -166,9 +166,10 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     moved_R = _link_axes(top, given.axis, given.params, xp)
     starts = np.array([link.spec.turns_body for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
-    # bodies at frames of a flexible link, other than the body of its joint, have no anchor
+    anchor = given.placement[joint]
+    # the origin of a link in its body; bodies at other frames of a flexible joint have no anchor
     anchored = np.array([_has_anchor(top, i) for i in range(n)], bool)[:, None]
-    anchor = xp.where(anchored, given.placement[joint], 0.0)
+    origin = xp.where(anchored, anchor, 0.0) if top.frames else anchor
 
     # for the first link of each body: the pose of the body in the carrier of its parent body
     body = np.array([link.body for link in links], int)
@@ -185,7 +186,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     parent = np.array(top.parents, int)
     root = (parent == WORLD)[:, None, None]
     inner_R = xp.where(root, np.eye(3), moved_R[parent])
-    inner_p = xp.where(root[..., 0], np.zeros(3), anchor[parent])
+    inner_p = xp.where(root[..., 0], np.zeros(3), origin[parent])
     R = matmat(matrix_transpose(inner_R), matmat(base_R, own_R))
     p = matvec(matrix_transpose(inner_R), base_p + matvec(base_R, anchor) - inner_p)
 
@@ -193,7 +194,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
     carrier_link = np.array(top.body_links, int)
     own = np.where(carrier_link == WORLD, n, carrier_link)  # index n is the frame of the world
     frame_R = xp.concatenate([moved_R, np.eye(3)[None]])[own]
-    frame_p = xp.concatenate([anchor, np.zeros((1, 3))])[own]
+    frame_p = xp.concatenate([origin, np.zeros((1, 3))])[own]
     to_link_R = matmat(matrix_transpose(frame_R), weld_R)
     to_link_p = matvec(matrix_transpose(frame_R), weld_p - frame_p)
     com = to_link_p + matvec(to_link_R, given.com)
