@@ -1,6 +1,7 @@
 """Every part of the demo, small: it runs, finds the right numbers, writes pictures and a report."""
 
 import re
+import threading
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from rbjax.demo.landing import landing
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section
-from rbjax.demo.run import PARTS
+from rbjax.demo.run import BESIDE, PARTS, _in_order
 from rbjax.demo.validate import validate
 from rbjax.errors import RbjaxError
 
@@ -81,6 +82,34 @@ def test_the_report_holds_all(tmp_path: Path) -> None:
     assert "<table>" in page.read_text()
     assert "| scene |" in (tmp_path / "report.md").read_text()
     assert jnp.ones(1).dtype == jnp.float64  # the caller's choice, as before
+
+
+def test_notebooks_run_beside_the_parts_that_measure_no_time() -> None:
+    together = threading.Barrier(2, timeout=10)
+    active: set[str] = set()
+
+    def run(name: str) -> Section:
+        if name == "motion" or name == "integrators":
+            assert not active & set(BESIDE)
+        active.add(name)
+        if name in ("validate", "forces"):
+            together.wait()
+        active.remove(name)
+        return Section(name, ("text",))
+
+    order = ["motion", "validate", "identify", "integrators", *BESIDE]
+    assert [section.title for section in _in_order(order, run)] == order
+    assert [section.title for section in _in_order(["joints"], run)] == ["joints"]
+
+
+def test_an_error_in_a_notebook_ends_the_demo() -> None:
+    def run(name: str) -> Section:
+        if name == "forces":
+            raise RbjaxError("no forces")
+        return Section(name, ("text",))
+
+    with pytest.raises(RbjaxError, match="no forces"):
+        _in_order(["validate", "forces"], run)
 
 
 NOTEBOOK = """\

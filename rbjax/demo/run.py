@@ -12,6 +12,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,8 @@ if FOLDER.is_dir():
         name: (functools.partial(notebook, name=name), share) for name, share in NOTEBOOKS.items()
     }
 
+#: parts that measure no computing time, and notebooks that run at the same time in a process
+UNTIMED, BESIDE = ("validate", "identify"), ("forces", "joints")
 #: the parts that run by default, in two minutes on two cores
 SHORT = ("motion", "landing", "validate", "identify", "integrators", "forces", "joints")
 
@@ -77,18 +80,19 @@ def demo(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     matplotlib.use("Agg")  # no window
-    begin, sections = time.perf_counter(), []
+    begin = time.perf_counter()
     short = PARTS if everything else SHORT
-    chosen = {n: (options or {}).get(n, {} if n in short else None) for n in PARTS}
+    given = {n: (options or {}).get(n, {} if n in short else None) for n in PARTS}
+    chosen = {name: x for name, x in given.items() if x is not None}
+
+    def run(name: str) -> Section:
+        (part, share), start = PARTS[name], time.perf_counter()
+        section = part(folder, say, **chosen[name])
+        done(name, share)
+        return dataclasses.replace(section, seconds=time.perf_counter() - start)
+
     with jax.enable_x64(True):
-        for name, (part, share) in PARTS.items():
-            given = chosen[name]
-            if given is None:
-                continue
-            start = time.perf_counter()
-            section = part(folder, say, **given)
-            sections.append(dataclasses.replace(section, seconds=time.perf_counter() - start))
-            done(name, share)
+        sections = _in_order(list(chosen), run)
     packages = ("jax", "mujoco", "mujoco-mjx")
     versions = ", ".join(f"{p} {importlib.metadata.version(p)}" for p in packages)
     spent = ", ".join(f"{s.title.split(':')[0].lower()} {s.seconds:.0f} s" for s in sections)
@@ -98,3 +102,22 @@ def demo(
         f"Took {time.perf_counter() - begin:.0f} s, compilation included ({spent})."
     )
     return write(folder, "rbjax: a robot file in, motion out", _LEAD, sections, footer)
+
+
+def _in_order(names: list[str], run: Callable[[str], Section]) -> list[Section]:
+    """Run parts and return their sections in the given order. The notebooks of `BESIDE` run during
+    the parts of `UNTIMED`, so that no measured time is disturbed."""
+    beside = [n for n in names if n in BESIDE] if any(n in names for n in UNTIMED) else []
+    found: dict[str, Section] = {}
+    running: dict[str, Future[Section]] = {}
+    with ThreadPoolExecutor(1) as pool:
+        for name in names:
+            if name in beside:
+                continue
+            if name in UNTIMED and not running:
+                running = {n: pool.submit(run, n) for n in beside}
+            elif name not in UNTIMED:
+                wait(running.values())
+            found[name] = run(name)
+        found |= {n: x.result() for n, x in running.items()}
+    return [found[name] for name in names]

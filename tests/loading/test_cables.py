@@ -1,6 +1,7 @@
 """Cables of MJCF files, which MuJoCo 4 cannot read, against the models that MuJoCo 3 compiled."""
 
 import json
+import warnings
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -93,6 +94,22 @@ def test_an_included_file_and_its_meshes(tmp_path):
     assert model.nv == 12 + 6
     (own,) = model.forces
     assert own.section.shape == (4, 3)
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_attached_with_a_prefix(written):
+    text = CASES["straight"]["xml"]
+    source = rb.write_mjcf(load_quietly(text)) if written else text
+    builder = rb.ModelBuilder()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # MuJoCo names the options that it keeps
+        builder.attach(source, prefix="left_")
+        builder.attach(source, prefix="right_", position=[0, 1, 0])
+        model = builder.build(contacts=False)
+    tau = np.array(CASES["straight"]["states"][1]["tau"])
+    q = jnp.array(CASES["straight"]["states"][1]["q"])
+    state = rb.State(jnp.concatenate([q, q]), jnp.zeros(model.nv))
+    assert relative_error(rb.applied_forces(model, state), np.concatenate([tau, tau])) < 1e-12
 
 
 def test_a_file_without_cables_is_read_by_mujoco_alone():

@@ -41,7 +41,7 @@ def read_with_cables(text: str, path: Path | None, where: str) -> mujoco.MjSpec 
     try:
         root = ET.fromstring(text)
         folder = Path() if path is None else path.parent
-        root = _merged(root, folder, folder, (), where)
+        root = _merged(root, folder, folder)
     except (ET.ParseError, OSError, UnicodeDecodeError):
         return None  # MuJoCo's message says where
     composites = [x for x in root.iter("composite") if x.get("type") == "cable"]
@@ -70,25 +70,21 @@ def read_with_cables(text: str, path: Path | None, where: str) -> mujoco.MjSpec 
     return spec
 
 
-def _merged(root: ET.Element, main: Path, folder: Path, above: tuple, where: str) -> ET.Element:
+def _merged(root: ET.Element, main: Path, folder: Path, above: tuple = ()) -> ET.Element:
     """Return a copy of an element with the files that it includes."""
     out = ET.Element(root.tag, root.attrib)
     out.text, out.tail = root.text, root.tail
     for child in root:
         if child.tag != "include":
-            out.append(_merged(child, main, folder, above, where))
+            out.append(_merged(child, main, folder, above))
             continue
         name = child.get("file", "")
         places = [f for f in (main / name, folder / name) if f.is_file()]
         if not places or places[0] in above:
-            raise ModelError(
-                f"{where}: it includes {name!r}, "
-                + ("which includes itself" if places else f"no file of the folder {main}")
-                + "; expected an existing MJCF file"
-            )
+            raise OSError(name)  # MuJoCo may find it, or says what is wrong
         place = places[0]
         inner = ET.fromstring(place.read_text(encoding="utf-8"))
-        out.extend(_merged(inner, main, place.parent, (*above, place), where))
+        out.extend(_merged(inner, main, place.parent, (*above, place)))
     return out
 
 
@@ -153,12 +149,15 @@ def cable_elements(m: mujoco.MjModel) -> list[Cable]:
         return out
     for i in range(m.ntext):
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_TEXT, i)
-        if name.startswith(TEXT) and m.text_size[i]:
+        prefix, marked, _ = name.partition(TEXT)  # an attached robot has a prefix
+        if marked and m.text_size[i]:
             start = m.text_adr[i]
             data = m.text_data[start : start + m.text_size[i] - 1]
             values = json.loads(data if isinstance(data, (str, bytes)) else bytes(data))
-            cable = _written if "joints" in values else _compiled
-            found = cable(m, name.removeprefix(TEXT), values)
+            for key in ("bodies", "joints"):
+                values[key] = [prefix + x for x in values.get(key, ())]
+            cable = _written if values["joints"] else _compiled
+            found = cable(m, name.replace(TEXT, ""), values)
             out += [found] if found.joints else []
     return out
 
@@ -167,7 +166,7 @@ def switch_off_cables(m: mujoco.MjModel) -> tuple[str, ...]:
     """Change a compiled model so that `cable_elements` finds nothing, for comparisons with MuJoCo
     4. Return the entries of a list of features that are switched off."""
     names = [mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_TEXT, i) for i in range(m.ntext)]
-    found = [i for i, name in enumerate(names) if name.startswith(TEXT)]
+    found = [i for i, name in enumerate(names) if TEXT in name]
     m.text_size[found] = 0
     return ("elasticity of cables, which MuJoCo 4 does not have",) if found else ()
 
@@ -178,8 +177,8 @@ def _written(m: mujoco.MjModel, name: str, values: dict[str, Any]) -> Cable:
     if -1 in joints:
         lost = values["joints"][joints.index(-1)]
         raise ModelError(
-            f"cable {name!r}: the text {TEXT + name!r} names the joint {lost!r}, which the file "
-            "does not have; remove the text from <custom>, or give a joint this name"
+            f"cable {name!r}: the file has no joint {lost!r}, which its text in <custom> names; "
+            "remove the text, or give a joint this name"
         )
     numbers = {key: leaf(np.array(values[key])) for key in _NUMBERS}
     return Cable(**numbers, joints=tuple(joints), law=values["law"])
@@ -193,7 +192,8 @@ def _compiled(m: mujoco.MjModel, name: str, values: dict[str, Any]) -> Cable:
     if -1 in bodies or any(m.body_parentid[b] != parent for b, parent in parents):
         raise ModelError(
             f"cable {name!r}: the bodies {given} are not a chain, expected each to be the child of "
-            "the body before; give each chain an instance of the plugin, without fusestatic"
+            "the body before; give each chain an instance of the plugin, without fusestatic and "
+            "<replicate>"
         )
     segments = bodies[1:]
     others = [m.body(b).name for b in segments if not _on_a_ball(m, b)]
