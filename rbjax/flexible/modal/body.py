@@ -21,7 +21,8 @@ as in standard input data, unless `second_order` is set.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -186,12 +187,13 @@ class ModalBody(Record):
 
     def transformed(self, basis: np.ndarray, names: Sequence[str]) -> ModalBody:
         """Return the body with the modes U B, with q = B r and a basis B (m, r) of coordinates."""
-        B = jnp.asarray(basis)
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        xp = array_module([*fields.values(), basis])
+        B = xp.asarray(basis)
         for name, axes in MODE_AXES.items():
             x = fields[name]
             for axis in axes:
-                x = jnp.moveaxis(jnp.tensordot(x, B, axes=(axis, 0)), -1, axis)
+                x = xp.moveaxis(xp.tensordot(x, B, axes=(axis, 0)), -1, axis)
             fields[name] = x
         fields["mode_names"] = tuple(names)
         return type(self)(**fields)
@@ -232,6 +234,11 @@ MODE_AXES = {
     "rotation_modes": (2,),
     "second_modes": (2, 3),
 }
+
+
+def array_module(values: Iterable[Any]) -> Any:
+    """Return `jax.numpy` if a value is an array of JAX, else `numpy`, which does not compile."""
+    return jnp if any(isinstance(x, jax.Array) for x in values) else np
 
 
 def shapes(m: int, P: int) -> dict[str, tuple[int, ...]]:

@@ -32,7 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.flexible.modal.body import ModalBody
+from rbjax.flexible.modal.body import ModalBody, array_module
 from rbjax.joints.flexible import Flexible, FrameMotion, LinkInertia
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, inner, is_zero, mul, sub
 from rbjax.rotations.coefficients import stumpff
@@ -120,7 +120,7 @@ class ModalLayout:
             if at:
                 x = arrays[name]
                 flat.append(x[tuple(zip(*at, strict=True))] if x.ndim else x[None])
-        return jnp.concatenate(flat)
+        return jnp.asarray(array_module(flat).concatenate(flat))
 
 
 class ModalLink(Flexible):

@@ -30,8 +30,10 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
 
-#: pairs of angular velocities, in the order of the columns of Oe and of J with six rows
+#: pairs of angular velocities, in the order of the columns of Oe
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+#: entries of J with six rows: files of FEMBS have another order there, as their Gr shows
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 FRAME_BLOCKS = ("origin", "phi", "psi", "AP", "sigma")
 BLOCKS = ("mdCM", "J", "Ct", "Cr", "Me", "Gr", "Ge", "Oe", "ksigma", "Ke", "De")
 _ENTRY = re.compile(r"m([01])\s*\(([\d\s,]+)\)\s*=\s*(\S+)", re.IGNORECASE)
@@ -155,7 +157,8 @@ def from_sid(sid: Any) -> ModalBody:
 def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     """Write a modal body as a text file of standard input data, with all digits.
 
-    First-order terms are indexed as (row, column, q).
+    First-order terms are indexed as (row, column, q). The columns of Gr and Ge are in the order of
+    the modes, three for each.
 
     Args:
         body: the body, whose arrays are not traced.
@@ -236,9 +239,9 @@ def _skew(a: np.ndarray) -> np.ndarray:
 
 
 def _from_six(x: np.ndarray) -> np.ndarray:
-    """Return symmetric (3, 3, ...) from (6, ...) in the order of `PAIRS`."""
+    """Return symmetric (3, 3, ...) from (6, ...) in the order of `SIX`."""
     out = np.zeros((3, 3, *x.shape[1:]))
-    for n, (a, b) in enumerate(PAIRS):
+    for n, (a, b) in enumerate(SIX):
         out[a, b] = out[b, a] = x[n]
     return out
 

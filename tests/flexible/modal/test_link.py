@@ -174,6 +174,31 @@ def test_layout_is_static_and_numbers_have_derivatives():
         assert abs(got - (up - down) / (2 * step)) < 1e-7 * max(1.0, abs(got)), name
 
 
+@pytest.mark.parametrize("second", [False, True])
+def test_gradients_by_every_number_are_those_of_complex_steps(second):
+    """All outputs of `inertia` by every parameter: 1e-12 of the largest."""
+    points = random_points(np.random.default_rng(9), n=6, m=2)
+    A = np.random.default_rng(10).normal(size=(6, 3, 2, 2))
+    body = from_points(**points, second_modes=A + A.transpose(0, 1, 3, 2), frames=[1])
+    link = ModalLink.of(body, second_order=second)
+    q, v, w = [0.3, -0.2], [0.5, 0.4], Vec3(0.3, -0.5, 0.7)
+
+    def outputs(params):
+        found = link.inertia(q, v, w, params)
+        rigid = [found.rigid.m, *found.rigid.h, *found.rigid.J]
+        coupled = [x for f in (*found.coupling, found.force) for x in f]
+        return [*rigid, *coupled, *(x for row in found.mass for x in row), *found.forces]
+
+    values = np.array(link.defaults)
+    stacked = jax.jit(lambda p: jnp.stack([jnp.asarray(x) for x in outputs(list(p))]))
+    got = np.asarray(jax.jit(jax.jacfwd(stacked))(values))
+    for k in range(len(values)):
+        step = [complex(x) for x in values]
+        step[k] += 1e-30j
+        want = np.array([np.imag(x) / 1e-30 for x in outputs(step)])
+        assert np.abs(got[:, k] - want).max() <= 1e-12 * max(1.0, np.abs(want).max())
+
+
 def test_small_entries_can_be_dropped():
     _, body = random_body(4)
     small = np.diag([1.0, 2.0, 3.0])

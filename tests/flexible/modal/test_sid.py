@@ -210,7 +210,7 @@ def test_structures_of_blocks(tmp_path):
     unit = "\nAP\norder = 0\nnrow = 3\nncol = 3\nnq = 1\nnqn = 0\nstructure = 4\n"
     text = text[:start] + unit + text[end:]
     J, J1 = np.asarray(body.inertia), np.asarray(body.inertia1)[0]
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     six = ["J", "order = 1", "nrow = 6", "ncol = 1", "nq = 1", "nqn = 0", "structure = 3"]
     six += [f"m0({n + 1},1) = {float(J[p])!r}" for n, p in enumerate(pairs)]
     six += [f"m1({n + 1},1,1) = {float(J1[p])!r}" for n, p in enumerate(pairs)]
@@ -230,6 +230,27 @@ def test_structures_of_blocks(tmp_path):
     )  # fmt: skip
     (tmp_path / "c.sid").write_text(text[:start] + block + text[end:])
     same(read_sid(tmp_path / "c.sid"), two)
+
+
+def test_order_of_an_inertia_of_six_rows():
+    """The first mode of the example five_node_model of PyMbs, a file of FEMBS: J and Oe have
+    different orders of xz and yz, and Gr = 2 D with J1 = D + D^T decides.
+    """
+    from rbjax.flexible.modal.sid import PAIRS, _from_six
+
+    J1 = np.array([-0.27551647, 9.09886852, -0.80611251, -0.89455293, 22.44320274, -12.69207434])
+    Oe = [0.13775823, -4.54943426, 0.40305626, 0.89455293, 12.69207434, -22.44320274]
+    Gr = np.array(
+        [
+            [-0.275516466, -2.12835033, 1.43874258],
+            [0.339244460, 9.09886852, -23.8975310],
+            [43.4476629, -1.48661763, -0.806112514],
+        ]
+    )
+    got = _from_six(J1)
+    assert np.abs(got - (Gr + Gr.T) / 2).max() < 1e-7  # 9 digits
+    for value, (a, b) in zip(Oe, PAIRS, strict=True):
+        assert abs(value + got[a, b] / (2 if a == b else 1)) < 1e-7
 
 
 def test_a_structure_of_another_program():
