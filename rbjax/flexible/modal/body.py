@@ -109,6 +109,21 @@ class ModalBody(Record):
                 )
             check_numbers(f"ModalBody({name}=...)", value, infinite=False)
 
+    def fields(self) -> dict[str, Any]:
+        """Return all fields by name."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    def replace(self, **changes: Any) -> ModalBody:
+        """Return a copy with the given fields changed. Arrays must keep their shapes.
+
+        Arrays of NumPy keep their precision, whatever JAX has.
+        """
+        fields = self.fields()
+        for name in changes:
+            if name not in fields:
+                raise UnknownName("field of ModalBody", name, fields)
+        return type(self)(**(fields | changes))
+
     @property
     def mode_count(self) -> int:
         """The number of modes m."""
@@ -155,7 +170,7 @@ class ModalBody(Record):
         kept = [self.frame(name) for name in names]
         if len(set(kept)) != len(kept):
             raise InputError(f"with_frames: got {list(names)}, expected different names")
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        fields = self.fields()
         for name in FRAME_FIELDS:
             fields[name] = fields[name][np.array(kept, int)]
         return type(self)(**(fields | {"frame_names": tuple(names)}))
@@ -187,7 +202,7 @@ class ModalBody(Record):
 
     def transformed(self, basis: np.ndarray, names: Sequence[str]) -> ModalBody:
         """Return the body with the modes U B, with q = B r and a basis B (m, r) of coordinates."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        fields = self.fields()
         xp = array_module([*fields.values(), basis])
         B = xp.asarray(basis)
         for name, axes in MODE_AXES.items():

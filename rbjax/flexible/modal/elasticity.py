@@ -12,6 +12,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
@@ -164,7 +165,8 @@ def _lean(x: Any) -> Any:
     """Return the diagonal of a matrix, if it is known to be diagonal."""
     if isinstance(x, jax.core.Tracer):
         return x
-    return np.diagonal(x) if not np.any(np.asarray(x) * (1 - np.eye(len(x)))) else x
+    diagonal = not np.any(np.asarray(x) * (1 - np.eye(len(x))))
+    return jnp.asarray(np.diagonal(x) if diagonal else x)
 
 
 def _rows(x: jax.Array, dtype: Any) -> _Matrix:
