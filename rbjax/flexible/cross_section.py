@@ -58,7 +58,7 @@ class Section(Record):
     def eccentric(self) -> bool:
         """True if the mass centre is off the line, or y and z are not principal axes of inertia."""
         parts = (self.first_moment, self.product)
-        return any(isinstance(x, jax.core.Tracer) or bool(np.any(x)) for x in parts)
+        return any(isinstance(x, jax.core.Tracer) or bool(np.asarray(x).any()) for x in parts)
 
 
 def section(
