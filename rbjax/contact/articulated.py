@@ -27,6 +27,7 @@ from rbjax.dynamics.algorithms.aba import (
     transforms,
 )
 from rbjax.dynamics.drivers.contract import Driver
+from rbjax.joints import Block
 from rbjax.lanes import Lane, add, mul, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
@@ -74,13 +75,14 @@ class ArticulatedTree(NamedTuple):
         """Compute the twists (n + 1, 6) of the links that can touch and of the world, at velocities
         x (nv,)."""
 
-        def outward(at: Any, parent: Motion) -> tuple[Motion, Motion]:
+        def outward(at: Any, parent: tuple[Motion, Block]) -> tuple[tuple[Motion, Block], Motion]:
             link, joint, qdd = at
-            a = joint.transform(link)(parent) + joint.S * qdd
-            return a, a
+            relative, block = joint.accelerate(qdd, parent[1])
+            a = joint.transform(link)(parent[0]) + relative
+            return (a, block), a
 
         xs = self.d.zip(self.d.constants, self.joints, self.d.lanes(x))
-        return self._of_touching(self.d.outward(outward, Motion.zero(), xs), dtype)
+        return self._of_touching(self.d.outward(outward, (Motion.zero(), ()), xs), dtype)
 
     def _of_touching(self, twists: Any, dtype: Any) -> jax.Array:
         found = self.d.whole(twists)
@@ -91,14 +93,15 @@ class ArticulatedTree(NamedTuple):
         d, zero = self.d, Force.zero()
         given = {i: Force.from_lanes(unpack(wrenches[k])) for k, i in enumerate(self.touching)}
 
-        def inward(at: Any, children: Force) -> tuple[Force, Lane]:
+        def inward(at: Any, children: tuple[Force, Block]) -> tuple[tuple[Force, Block], Lane]:
             link, joint, f = at
-            f = f + children
-            return joint.transform(link).T(f), joint.S.dot(f)
+            f = f + children[0]
+            tau, block = joint.project(f, children[1])
+            return (joint.transform(link).T(f), block), tau
 
         xs = d.zip(d.constants, self.joints, d.scattered(given, zero))
         like = jnp.zeros(d.topology.nv, wrenches.dtype)
-        return unpack(d.pack(d.inward(inward, zero, xs), like))
+        return unpack(d.pack(d.inward(inward, (zero, ()), xs), like))
 
     def factorize(self, stiffness: jax.Array, rows: Sequence[Stiff]) -> Factors:
         """Factorize the Hessian of the contact problem, without contacts between two links.

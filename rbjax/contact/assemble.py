@@ -15,7 +15,7 @@ from rbjax.contact.contact_rows import ContactSet
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.parameters import pair_parameters
-from rbjax.contact.problem import Problem, Tree, stacked
+from rbjax.contact.problem import Problem, Tree, relative_axes, stacked
 from rbjax.contact.rows.dof_rows import friction_rows, limit_rows
 from rbjax.contact.rows.equality_rows import equality_rows
 from rbjax.contact.rows.limit_slots import JointLimits
@@ -25,7 +25,7 @@ from rbjax.contact.rows.tendon_rows import tendon_rows
 from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.energy import Entries, product
-from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
+from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, dof_axes, sweep
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver, on_threads
 from rbjax.dynamics.drivers.unrolled import Unrolled
@@ -103,7 +103,8 @@ class Assembly:
         """Return the problem for applied forces. Contacts are not yet detected."""
         d, dtype = self.d, self.q.dtype
         bias = rnea(d, self.joints, d.lanes(None), d.prepared.gravity, f_ext)
-        rhs = [sub(t, b) for t, b in zip(unpack(tau), d.whole(bias), strict=True)]
+        own = d.whole(bias)[: self.top.nv]
+        rhs = [sub(t, b) for t, b in zip(unpack(tau), own, strict=True)]
         world = self._world() if self.touching.geoms else None
         return Problem(self._tree(), rhs, self._sets(), self._rows, self._limits, world, dtype)
 
@@ -155,13 +156,19 @@ class Assembly:
         for (i, j), x in (self.added or {}).items():
             if j <= i:
                 M[i][j] = add(M[i][j], x)
-        return Tree(self.top.parents, self.top.ancestors, self._axes, M, moving, pairs, weights)
+        top = self.top
+        return Tree(
+            top.parents, top.ancestors, self._axes, top.order, M, moving, pairs, weights
+        )  # fmt: skip
 
     @cached_property
-    def _axes(self) -> list[Motion]:
-        """The axes of the dofs in world axes."""
-        both = zip(self._poses, self.joints, strict=True)
-        return [pose.motion_to_parent(joint.S) for pose, joint in both]
+    def _axes(self) -> list[list[tuple[int, Motion]]]:
+        """The dofs that move each link relative to its parent, with their axes in world axes."""
+        both = enumerate(zip(self._poses, self.joints, strict=True))
+        return [
+            [(n, pose.motion_to_parent(S)) for n, S in dof_axes(self.top, i, joint)]
+            for i, (pose, joint) in both
+        ]
 
     @cached_property
     def _mass_matrix(self) -> list[list[Lane]]:
@@ -183,10 +190,9 @@ class Assembly:
         for inverse in self._inverse_diagonals():
             rows = []
             for pair in self.touching.link_pairs:
-                one, other = (set() if i == WORLD else {*self.top.ancestors[i]} for i in pair)
+                one, other = (() if i == WORLD else self.top.ancestors[i] for i in pair)
                 K = ArticulatedInertia.zero()
-                for j in sorted(one ^ other):
-                    S = self._axes[j]
+                for j, S in sorted(relative_axes(self._axes, one, other).items()):
                     F = Force(S.ang, S.lin)
                     K = K + ArticulatedInertia.outer(F * inverse[j], F)
                 rows.append([*K.J, *K.H, *K.M])

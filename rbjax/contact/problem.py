@@ -12,7 +12,9 @@ couples the two paths from their nearest common ancestor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+import operator
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -58,7 +60,8 @@ class Tree(NamedTuple):
     Fields:
         parents: the parent of each link, or WORLD.
         ancestors: the path from the root to each link.
-        S: axis of each dof.
+        axes: for each link, the dofs that move it relative to its parent, with their axes.
+        order: the links, parents before children.
         M: rows of the lower triangle of the mass matrix.
         touching: the links that can touch, in the order of `World.twists`.
         link_pairs: pairs of links that can touch, as links of the tree or WORLD.
@@ -67,7 +70,8 @@ class Tree(NamedTuple):
 
     parents: Sequence[int]
     ancestors: Sequence[Sequence[int]]
-    S: list[Motion]
+    axes: list[list[tuple[int, Motion]]]
+    order: Sequence[int]
     M: list[list[Lane]]
     touching: Sequence[int]
     link_pairs: Sequence[tuple[int, int]]
@@ -84,8 +88,10 @@ class Tree(NamedTuple):
         for link in self.touching:
             for i in self.ancestors[link]:
                 if i not in found:
-                    own, parent = self.S[i] * x[i], self.parents[i]
-                    found[i] = own if parent == WORLD else found[parent] + own
+                    parent = self.parents[i]
+                    own = [S * x[n] for n, S in self.axes[i]]
+                    own += [] if parent == WORLD else [found[parent]]
+                    found[i] = functools.reduce(operator.add, own) if own else Motion.zero()
         lanes = [list(found[i]) for i in self.touching]
         return stacked([*lanes, [0.0] * 6], dtype)
 
@@ -95,13 +101,17 @@ class Tree(NamedTuple):
         for k, link in enumerate(self.touching):
             sums[link] = Force.from_lanes([wrenches[k, c] for c in range(6)])
         sums = self._subtree_sums(sums)
-        return [S.dot(sums[i]) if i in sums else 0.0 for i, S in enumerate(self.S)]
+        out: list[Lane] = [0.0] * len(self.M)
+        for i, f in sums.items():
+            for n, S in self.axes[i]:
+                out[n] = add(out[n], S.dot(f))
+        return out
 
     def _subtree_sums(self, values: dict[int, Any]) -> dict[int, Any]:
         """Sum the values of links over the subtree of each link. Links without a value are left
         out."""
         out = dict(values)
-        for i in reversed(range(len(self.S))):
+        for i in reversed(self.order):
             parent = self.parents[i]
             if i in out and parent != WORLD:
                 out[parent] = out[parent] + out[i] if parent in out else out[i]
@@ -128,19 +138,37 @@ class Tree(NamedTuple):
                 link = b if a == WORLD else a
                 fixed[link] = fixed[link] + k if link in fixed else k
                 continue
-            one, other = set(self.ancestors[a]), set(self.ancestors[b])
-            signs = {i: 1.0 if i in other else -1.0 for i in sorted(one ^ other)}
-            _add_products(A, k, {i: self.S[i] * s for i, s in signs.items()}, list(signs))
+            S = relative_axes(self.axes, self.ancestors[a], self.ancestors[b])
+            _add_products(A, k, S, sorted(S))
         for i, k in self._subtree_sums(fixed).items():
-            F = fusion_barrier(k(self.S[i]))
-            for j in self.ancestors[i]:
-                A[i][j] = add(A[i][j], self.S[j].dot(F))
+            for n, S_n in self.axes[i]:
+                F = fusion_barrier(k(S_n))
+                path = [x for j in self.ancestors[i] for x in self.axes[j] if j != i or x[0] <= n]
+                for m, S_m in path:
+                    row, column = max(n, m), min(n, m)
+                    A[row][column] = add(A[row][column], S_m.dot(F))
         for J, h in rows:
             for i, x in J.items():
                 for j, y in J.items():
                     if j <= i:
                         A[i][j] = add(A[i][j], mul(mul(h, x), y))
         return Factors(ldlt(A))
+
+
+def relative_axes(
+    axes: Sequence[Sequence[tuple[int, Motion]]], a: Iterable[int], b: Iterable[int]
+) -> dict[int, Motion]:
+    """Return the axis of each dof for the motion of one link relative to another.
+
+    a, b: the paths of links from the root to the other link and to the one.
+    """
+    one, other = set(a), set(b)
+    out: dict[int, Motion] = {}
+    for i in sorted(one ^ other):
+        for n, S in axes[i]:
+            own = S if i in other else S * -1.0
+            out[n] = out[n] + own if n in out else own
+    return out
 
 
 def _add_products(A: list, K: Any, S: dict[int, Motion], order: list[int]) -> None:

@@ -124,8 +124,39 @@ class Beam(Record):
         extra = {body: joint.tip + 1 + i for i, body in enumerate(places)}
         params = self.params(joint)
         model = model.with_link(name, joint, parent, params=params, frames=extra, **base)
-        C = self.section.stiffness
-        return model.with_forces(BeamElasticity(_lean(C), _lean(self.viscosity), name))
+        return model.with_forces(self.elasticity(name))
+
+    def elasticity(self, name: str) -> BeamElasticity:
+        """Return the elastic and viscous forces of the beam, for its joint `name`."""
+        return BeamElasticity(_lean(self.section.stiffness), _lean(self.viscosity), name)
+
+    def replace_joint(self, model: Model, name: str) -> Model:
+        """Put the beam in the place of a joint of a model, such as a hinge of a file.
+
+        The beam starts at the anchor of the joint, along x of the body, which moves with its tip.
+        The body keeps its geoms, sites and children.
+
+        Args:
+            model: the model.
+            name: name of the joint, and then of the beam.
+
+        Raises:
+            UnknownName: no such joint. InputError: a force element acts on the old joint.
+
+        Example:
+            >>> import rbjax as rb
+            >>> rod = rb.flexible.beam(0.5, [0, 2.0, 2.0, 0, 0, 0], {"k_y": 2}, mass=0.3)
+            >>> rod.replace_joint(rb.load("pendulum"), "hinge").nv
+            3
+        """
+        joint = self.joint()
+        at = np.cumsum([0, *(np.size(x) for x in joint.params.values())])
+        flat = self.params(joint)
+        values = {
+            key: flat[start : start + np.size(x)].reshape(np.shape(x))
+            for start, (key, x) in zip(at, joint.params.items(), strict=False)
+        }
+        return model.with_joint(name, joint.name, **values).with_forces(self.elasticity(name))
 
 
 def beam(

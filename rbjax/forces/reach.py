@@ -5,12 +5,13 @@ l is the length and r_n the moment arm of dof n. A straight piece of a tendon wi
 pulls its two ends along one line, so the moment arm of a hinge with the axis z at p_n is
 
     r_n = z . ((p - p_n) x e)
-with p any point of the line. Joints that carry both ends have no moment arm.
+with p any point of the line. Joints that carry both ends have no moment arm, except a flexible link
+that carries them at different frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, Vec3, add, mul, total
-from rbjax.model import WORLD
+from rbjax.model import WORLD, Topology
 from rbjax.rotations.coefficients import where
 
 #: moment arms by dof
@@ -59,16 +60,24 @@ class Piece(NamedTuple):
     bodies: tuple[int, int]
 
 
-def arms_between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
+def arms_between(context: Context, site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
     """Compute the moment arms of a force and torque (world axes) on `site` and of their reaction on
     `base`."""
-    return opposed_arms(site.world_arms(force, torque), base.world_arms(-force, -torque))
+    action, reaction = site.world_arms(force, torque), base.world_arms(-force, -torque)
+    return opposed_arms(action, reaction, flexible_dofs(context.model.topology, site, base))
 
 
-def opposed_arms(a: Arms, b: Arms) -> Arms:
+def opposed_arms(a: Arms, b: Arms, flexible: Container[int] = ()) -> Arms:
     """Return the moment arms of an action and of its reaction. Joints that carry both ends have
-    none."""
-    return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
+    none, except the coordinates `flexible` of a flexible link between the ends."""
+    out = {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
+    return out | {n: add(a[n], b[n]) for n in a if n in b and n in flexible}
+
+
+def flexible_dofs(top: Topology, site: Frame, base: Frame) -> set[int]:
+    """Return the coordinates of flexible links that have a frame on the path between two frames."""
+    one, other = (set() if x.link == WORLD else {*top.ancestors[x.link]} for x in (site, base))
+    return {n for link in one ^ other if link >= top.nv for n in top.links[link].v}
 
 
 def add_arms(a: Arms, b: Arms) -> Arms:

@@ -139,8 +139,7 @@ class GoalErrors:
         self.turning: list[bool] = []
         self._weights = weights
         self._d, self._motion = d, LinkMotion(d, q, None)
-        self._axes = d.whole_axes(self._motion.joints)
-        self._columns: dict[int, tuple[Vec3, Vec3, Vec3]] = {}
+        self._columns: dict[int, list[tuple[int, Vec3, Any]]] = {}
         self.groups: list[tuple[bool, int, int]] = []
         for goal in goals:
             self._add(goal)
@@ -181,21 +180,26 @@ class GoalErrors:
     def _rows(self, goal: Goal, turns: bool, e: Any, path: Sequence[int], of: Any) -> None:
         scale = mul(self._weights[0 if turns else 1], jnp.asarray(goal.weight, self.dtype))
         self.groups.append((turns, len(self.errors), len(self.errors) + 3))
-        columns = {i: list(of(*self._column(i))) for i in path}
+        columns = {i: list(of(*x)) for link in path for i, *x in self._columns_of(link)}
         for k, entry in enumerate(e):
             self.errors.append(entry)
             self.weights.append(scale)
             self.turning.append(turns)
             self.rows.append([columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)])
 
-    def _column(self, i: int) -> tuple[Vec3, Any]:
-        """Return the angular velocity for unit speed of dof i, and the function p -> velocity of a
-        point. Velocities and the point p, which the dof moves, are in the world."""
-        if i not in self._columns:
-            pose, S = self._motion.pose(i), self._axes[i]
-            self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p
-        spin, slide, origin = self._columns[i]
-        return spin, lambda p: spin.cross(p - origin) + slide
+    def _columns_of(self, link: int) -> list[tuple[int, Vec3, Any]]:
+        """Return the dofs that move a link relative to its parent, each with the angular velocity
+        for unit speed and the function p -> velocity of a point.
+
+        Velocities and the point p, which the link carries, are in the world.
+        """
+        if link not in self._columns:
+            pose = self._motion.pose(link)
+            turned = [(i, pose.R @ S.ang, pose.R @ S.lin) for i, S in self._motion.axes(link)]
+            self._columns[link] = [
+                (i, w, lambda p, w=w, v=v: w.cross(p - pose.p) + v) for i, w, v in turned
+            ]
+        return self._columns[link]
 
     def size(self, turns: bool) -> Lane:
         """Return the square of the largest rotation error (turns) or position error."""

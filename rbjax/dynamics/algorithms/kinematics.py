@@ -20,7 +20,7 @@ from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.joints import Block, JointMotion
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
-from rbjax.model import WORLD, Model
+from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Force, Motion, Transform
 
 
@@ -201,6 +201,16 @@ def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force
     return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 
 
+def dof_axes(top: Topology, link: int, joint: JointMotion) -> list[tuple[int, Motion]]:
+    """Return the dofs that move a link relative to its parent, with their axes in its axes.
+
+    They are all coordinates of a flexible link at its frames, and none at its coordinates.
+    """
+    if joint.frame_axes is not None:
+        return list(zip(top.links[link].v, joint.frame_axes, strict=True))
+    return [] if joint.coordinate_of is not None else [(link, joint.S)]
+
+
 class LinkMotion:
     """Poses, twists and accelerations of single links at (q, v, a), computed on first use.
 
@@ -264,10 +274,7 @@ class LinkMotion:
         top = self.driver.topology
         if not top.frames:
             return [(link, self.axis(link))]
-        joint = self._links[link][0]
-        if joint.frame_axes is not None:
-            return list(zip(top.links[link].v, joint.frame_axes, strict=True))
-        return [] if joint.coordinate_of is not None else [(link, joint.S)]
+        return dof_axes(top, link, self._links[link][0])
 
     def axis(self, link: int) -> Motion:
         """Return the axis S of a link in its own axes."""

@@ -126,6 +126,6 @@ class OrientationServo(Element):
             return [context.q[start + k] for k in range(4)], [{at + k: 1.0} for k in range(3)]
         site, base = context.site(self.site), context.site(self.reference)
         axes = site.rotation.columns
-        rows = [arms_between(site, base, Vec3.zero(), axis) for axis in axes]
+        rows = [arms_between(context, site, base, Vec3.zero(), axis) for axis in axes]
         rows = [{n: arm for n, arm in row.items() if not is_zero(arm)} for row in rows]
         return relative_quaternion(site, base, context.q.dtype), rows

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.context import Context, Frame
-from rbjax.forces.reach import Reach, arms_between, opposed_arms
+from rbjax.forces.reach import Reach, arms_between, flexible_dofs, opposed_arms
 from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub
 from rbjax.model.leaves import numbers, scalar
@@ -84,7 +84,7 @@ class SitePose(Transmission):
             turned = quaternion.log_lanes(relative_quaternion(site, base, context.q.dtype))
             length = add(length, torque.dot(Vec3(*turned)))
         force, torque = base.rotation @ force, base.rotation @ torque
-        return Reach(length, arms_between(site, base, force, torque))
+        return Reach(length, arms_between(context, site, base, force, torque))
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[3:]).norm()
@@ -115,7 +115,8 @@ class SliderCrank(Transmission):
         by_axis = r * share
         length = sub(along, jnp.where(near, root, 0.0))
         pulled = slider.world_arms(-by_r, axis.cross(by_axis))
-        arms = opposed_arms(crank.world_arms(by_r, Vec3.zero()), pulled)
+        both = flexible_dofs(context.model.topology, crank, slider)
+        arms = opposed_arms(crank.world_arms(by_r, Vec3.zero()), pulled, both)
         return Reach(length, arms).scaled(numbers(self.gear, dtype)[0])
 
 
