@@ -179,6 +179,7 @@ def _write_page(path: Path, film: Film, title: str, *, fps: float, speed: float)
         "solids": [
             {
                 "body": s.body,
+                "end": s.end,
                 "color": [round(255 * c) for c in s.color],
                 "alpha": s.alpha,
                 "points": _packed(s.points),

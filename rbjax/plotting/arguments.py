@@ -50,7 +50,7 @@ def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[A
         raise InputError(
             f"{where}: R has shape {R.shape} and p {p.shape}, expected (nb, 3, 3) and (nb, 3)"
         )
-    bodies = 1 + max((s.body for s in shapes), default=-1)
+    bodies = 1 + max((max(s.body, s.body if s.end is None else s.end) for s in shapes), default=-1)
     if len(R) < bodies:
         raise InputError(f"{where}: R and p have {len(R)} bodies, expected at least {bodies}")
     if real_number(where, "alpha", alpha, least=0.0) > 1:

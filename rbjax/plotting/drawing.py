@@ -25,6 +25,7 @@ from rbjax.model import Model
 from rbjax.plotting.arguments import check_axis, check_solids, configurations
 from rbjax.plotting.contact_arrows import strokes, with_arrows
 from rbjax.plotting.film import Camera, Film, film, poses
+from rbjax.plotting.flexible_links import tubes
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
 from rbjax.style import BLUE, GRID, ORANGE, RED
@@ -58,8 +59,11 @@ def outlines(
         hull = _hull(view[:, :2])
         if hull is not None:
             (red, green, blue), opacity = s.color, alpha * s.alpha
+            face = (red, green, blue, opacity)
             edge = (0.62 * red, 0.62 * green, 0.62 * blue, opacity)
-            outline = Outline(hull, (red, green, blue, opacity), edge)
+            if s.end is not None:  # a segment of a tube: opaque, since segments overlap
+                face = edge = (*(1 - opacity * (1 - x) for x in s.color), 1.0)
+            outline = Outline(hull, face, edge)
             found.append((float(view[:, 2].mean()), outline))
     return [outline for _, outline in sorted(found, key=lambda item: item[0])]
 
@@ -103,8 +107,8 @@ def draw_solids(
     Args:
         ax: the axis.
         shapes: a list from `solids` or `skeleton`.
-        R: (nb, 3, 3), body to world axes.
-        p: (nb, 3), the bodies' origins in the world's frame, m.
+        R: (n, 3, 3), body to world axes, as from `poses`.
+        p: (n, 3), the bodies' origins in the world's frame, m.
         camera: the line of sight.
         alpha: opacity.
         shadow: whether they cast a shadow on z = 0.
@@ -210,7 +214,10 @@ def _even(length: float) -> float:
 
 
 def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
-    """Return the geoms of a file, or a skeleton if there is no file or no geom in it."""
+    """Return the geoms of a file, or a skeleton if there is no file or no geom in it.
+
+    The flexible links are those of the model.
+    """
     found = [] if source is None else solids(source, floating_base=floating_base)
     if source is not None and not found:
         warnings.warn(
@@ -219,7 +226,7 @@ def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[So
             "source=None; to see its shapes, give an MJCF file with geoms",
             stacklevel=3,
         )
-    return found or skeleton(model)
+    return [*found, *tubes(model)] if found else skeleton(model)
 
 
 def draw(

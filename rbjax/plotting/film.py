@@ -15,6 +15,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.arguments import configurations
+from rbjax.plotting.flexible_links import station_poses
 from rbjax.plotting.movie_files import schedule
 from rbjax.plotting.solid_shapes import Solid
 
@@ -70,8 +71,9 @@ class Film:
 
     Fields:
         ts: (F,), s.
-        R: (S, F, nb, 3, 3), rotations of the bodies of each sample.
-        p: (S, F, nb, 3), positions of the bodies of each sample.
+        R: (S, F, n, 3, 3), rotations of the bodies of each sample, and of the stations of flexible
+            links.
+        p: (S, F, n, 3), their positions.
         shapes: solids.
         camera: the line of sight.
         floor: the height of the ground.
@@ -96,10 +98,13 @@ class Film:
 
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:
-    """Compute rotations (T, nb, 3, 3) and positions (T, nb, 3) of the bodies along q (T, nq)."""
+    """Compute rotations (T, n, 3, 3) and positions (T, n, 3) of the bodies along q (T, nq).
+
+    The stations of flexible links follow the bodies (`rbjax.plotting.flexible_links`).
+    """
     q = configurations("poses", model, q)
     R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))
-    return np.asarray(R, float), np.asarray(p, float)
+    return station_poses(model, np.asarray(R, float), np.asarray(p, float), q)
 
 
 def frames(

@@ -3,6 +3,8 @@
 MuJoCo chooses the OpenGL backend from the environment when it is first imported, and a missing
 driver may end the process. So another process renders. It tries EGL, then OSMesa, unless the
 variable `MUJOCO_GL` selects one. The environment of this process does not change.
+
+The file has no beams of `Model.with_beam`. Capsules are added to the scene for their segments.
 """
 
 from __future__ import annotations
@@ -23,13 +25,14 @@ import numpy as np
 from rbjax.loading import compile_model
 from rbjax.plotting.film import Film
 
-# Reads a folder's model.mjb, q.npy, view.json; writes raw pictures to its standard output.
+# Reads a folder's model.mjb, q.npy, tubes.npz, view.json; writes raw pictures to standard output.
 _PROGRAM = """
 import json, sys
 import mujoco, numpy as np
 folder = sys.argv[1]
 m = mujoco.MjModel.from_binary_path(f"{folder}/model.mjb")
 q, view = np.load(f"{folder}/q.npy"), json.load(open(f"{folder}/view.json"))
+tubes = np.load(f"{folder}/tubes.npz")
 width, height = view["size"]
 m.vis.global_.offwidth, m.vis.global_.offheight = width, height
 d, camera = mujoco.MjData(m), mujoco.MjvCamera()
@@ -37,11 +40,17 @@ camera.azimuth, camera.elevation = view["azimuth"], view["elevation"]
 camera.distance = view["distance"]
 m.vis.map.zfar = max(m.vis.map.zfar, 4 * view["distance"] / m.stat.extent)
 with mujoco.Renderer(m, height, width) as renderer:
-    for row, centre in zip(q, view["centre"]):
-        d.qpos[:] = row
+    for row, centre, ends in zip(q, view["centre"], tubes["ends"]):
+        d.qpos[:] = row[:m.nq]  # joints added to the model follow
         mujoco.mj_forward(m, d)
         camera.lookat[:] = centre
         renderer.update_scene(d, camera)
+        scene, kind, none = renderer.scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3)
+        for (a, b), radius, color in zip(ends, tubes["radius"], tubes["color"]):
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(geom, kind, none, none, np.eye(3).ravel(), color)
+            mujoco.mjv_connector(geom, kind, radius, a, b)
+            scene.ngeom += 1
         sys.stdout.buffer.write(renderer.render().tobytes())
 """
 
@@ -77,6 +86,7 @@ def _write(
     m = compile_model(source, floating_base=floating_base)
     mujoco.mj_saveModel(m, str(folder / "model.mjb"))
     np.save(folder / "q.npy", np.asarray(q, float))
+    np.savez(folder / "tubes.npz", **_tubes(film))
     # the distance fits the film's height; MuJoCo's azimuth is the direction of view
     half = max(film.size[1], film.size[0] * size[1] / size[0]) / 2
     view = {
@@ -87,6 +97,19 @@ def _write(
         "centre": film.centre.tolist(),
     }
     (folder / "view.json").write_text(json.dumps(view))
+
+
+def _tubes(film: Film) -> dict[str, np.ndarray]:
+    """Return the segments of flexible links of the first sample: ends (F, n, 2, 3), m, radius (n,),
+    m, of a circle with the area of the section, and colour (n, 4)."""
+    tubes = [s for s in film.shapes if s.end is not None]
+    at = np.array([(s.body, s.end) for s in tubes], int).reshape(-1, 2)
+    sizes = [np.linalg.norm(s.points, axis=-1) for s in tubes]
+    return {
+        "ends": film.p[0][:, at],
+        "radius": np.array([np.sqrt(x.min() * x.max()) for x in sizes]),
+        "color": np.array([(*s.color, s.alpha) for s in tubes], np.float32).reshape(-1, 4),
+    }
 
 
 def _start(folder: str, gl: str | None) -> subprocess.Popen[bytes]:

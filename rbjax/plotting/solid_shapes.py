@@ -21,26 +21,36 @@ _MOST_POINTS = 400
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex solid fixed to a body.
+    """A convex solid fixed to a body, or a segment between two bodies.
 
     points: (n, 3), on the surface, in the body's frame.
-    body: index of the body; -1 for the world.
+    body: index of the body; -1 for the world. The stations of flexible links follow the bodies.
     color: red, green, blue from 0 to 1.
     alpha: opacity.
+    end: index of the body that carries the second half of the points, in its frame; None if all
+        are in the frame of `body`.
     """
 
     points: Array
     body: int
     color: tuple[float, float, float]
     alpha: float
+    end: int | None = None
 
     def placed(self, R: Array, p: Array) -> Array:
         """Compute the points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (...,
         nb, 3)."""
-        if self.body < 0:
-            return np.broadcast_to(self.points, (*R.shape[:-3], *self.points.shape))
-        turn, origin = R[..., self.body, :, :], p[..., None, self.body, :]
-        return self.points @ np.swapaxes(turn, -1, -2) + origin
+        if self.end is None:
+            return _placed(self.points, self.body, R, p)
+        half = len(self.points) // 2
+        ends = (self.points[:half], self.body), (self.points[half:], self.end)
+        return np.concatenate([_placed(x, body, R, p) for x, body in ends], -2)
+
+
+def _placed(points: Array, body: int, R: Array, p: Array) -> Array:
+    if body < 0:
+        return np.broadcast_to(points, (*R.shape[:-3], *points.shape))
+    return points @ np.swapaxes(R[..., body, :, :], -1, -2) + p[..., None, body, :]
 
 
 def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:

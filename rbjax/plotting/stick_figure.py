@@ -15,6 +15,7 @@ from matplotlib.colors import to_rgb
 from rbjax.dynamics.arguments import check_model
 from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
+from rbjax.plotting.flexible_links import flexible_links, tubes
 from rbjax.plotting.solid_shapes import Solid, capsule, cylinder, ellipsoid, sphere
 from rbjax.style import BLUE, GREEN, INK, PALETTE, RED
 
@@ -29,7 +30,8 @@ def skeleton(model: Model) -> list[Solid]:
 
     Returns:
         Rods from joint to joint and to the ends of last bodies, a pin at each hinge, a rail along
-        each slide, ellipsoids of inertia, and red, green and blue axes on floating bodies.
+        each slide, ellipsoids of inertia, red, green and blue axes on floating bodies, and tubes
+        along flexible links.
 
     Example:
         >>> import rbjax as rb
@@ -38,7 +40,8 @@ def skeleton(model: Model) -> list[Solid]:
         6
     """
     check_model("skeleton", model)
-    return _Skeleton(model).solids()
+    own = _Skeleton(model)
+    return own.solids() + tubes(model, own.colors())
 
 
 class _Skeleton:
@@ -58,6 +61,9 @@ class _Skeleton:
         self.mass, self.com, self.inertia, self.position = (
             np.asarray(x, float) for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position)
         )
+        self.links = {link.body: link for link in flexible_links(model)}
+        self.frames = {body: (top.joint_bodies[j], k) for body, j, k in top.frame_bodies}
+        self.frames |= {body: (body, link.joint.body_frame) for body, link in self.links.items()}
         self.anchor, self.axis, self.range = (
             np.asarray(x, float) for x in (joints.placement, joints.axis, joints.range)
         )
@@ -83,12 +89,19 @@ class _Skeleton:
         R: list[Array] = []
         p: list[Array] = []
         points: list[Array] = []
+        base: dict[int, tuple[Array, Array]] = {}
         for body, parent in enumerate(self.parents):
             free = any(self.kinds[j] == "free" for j in self.joints[body])
             Rp, pp = (np.eye(3), np.zeros(3)) if parent == WORLD else (R[parent], p[parent])
             place = np.zeros(3) if free else self.position[body]
             R.append(Rp @ self.turn[body])
             p.append(pp + Rp @ place)
+            if body in self.links:
+                base[body] = R[body], p[body]
+            if body in self.frames:  # a frame of a flexible link
+                owner, k = self.frames[body]
+                (R0, p0), (frame_R, frame_p) = base[owner], self.links[owner].at_rest()
+                R[body], p[body] = R0 @ frame_R[k], p0 + R0 @ frame_p[k]
             points += [p[body] + R[body] @ x for x in (self.com[body], self.hub(body))]
         extent = float(np.ptp(np.array(points), axis=0).max()) if points else 0.0
         axes = [self._semi_axes(b)[0].max() for b in range(len(self.parents))]
@@ -127,7 +140,8 @@ class _Skeleton:
             rods = [end for end in ends if np.linalg.norm(end - hub) > 0.5 * r]
             out += [Solid(capsule(hub, end, r), body, color, 1.0) for end in rods]
             for joint in self.joints[body]:
-                out += self._joint(body, joint, ink)
+                if body not in self.links:
+                    out += self._joint(body, joint, ink)
         return out
 
     def _tip(self, body: int, hub: Array) -> Array:
