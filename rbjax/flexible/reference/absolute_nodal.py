@@ -16,7 +16,15 @@ import numpy as np
 
 from rbjax.errors import UnknownName
 from rbjax.flexible.cross_section import Section
-from rbjax.flexible.reference.mesh import Curve, Formulation, Mesh, chain, check_elements, principal
+from rbjax.flexible.reference.mesh import (
+    Curve,
+    Formulation,
+    Mesh,
+    chain,
+    check_elements,
+    initial_strains,
+    principal,
+)
 
 #: points and weights on [0, 1] of extension and of bending
 _LOBATTO = (np.array([0, 0.5, 1]), np.array([1, 4, 1]) / 6)
@@ -82,7 +90,7 @@ class AbsoluteNodal(Formulation):
             "rhoA": fill(rhoA),
             "rhoI": fill(rhoI[2]),
         }
-        data["unloaded"] = jax.vmap(self.strains)(data, {}, q[ends], q[ends])
+        data["unloaded"] = initial_strains(self, data, {}, q[ends])
         return Mesh(self, q, ends, data, {})
 
     def retract(self, q: jax.Array, delta: jax.Array) -> jax.Array:

@@ -202,6 +202,12 @@ def principal(section: Section) -> tuple[np.ndarray, float, np.ndarray]:
     return diagonal, float(section.mass), np.asarray(section.inertia)
 
 
+@partial(jax.jit, static_argnums=0)
+def initial_strains(of: Formulation, data: Any, history: Any, q: jax.Array) -> jax.Array:
+    """Compute strains (elements, m) at the beginning of a step, q (elements, k, c)."""
+    return jax.vmap(of.strains)(data, history, q, q)
+
+
 def check_elements(elements: int, length: float) -> None:
     """Raise InputError for a number of elements or a length that is not positive."""
     if elements < 1:

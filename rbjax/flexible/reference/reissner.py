@@ -17,7 +17,14 @@ import numpy as np
 from rbjax.errors import UnknownName
 from rbjax.flexible.cross_section import Section
 from rbjax.flexible.reference import quaternions
-from rbjax.flexible.reference.mesh import Curve, Mesh, chain, check_elements, principal
+from rbjax.flexible.reference.mesh import (
+    Curve,
+    Mesh,
+    chain,
+    check_elements,
+    initial_strains,
+    principal,
+)
 from rbjax.flexible.reference.rotation_nodes import (
     RotationNodes,
     nodes_on,
@@ -91,7 +98,7 @@ class Reissner(RotationNodes):
         history = {}
         if self.interpolation == "incremental":
             history = {"sections": at[..., 3:], "kappa": jnp.zeros((elements, len(points), 3))}
-        data["unloaded"] = jax.vmap(self.strains)(data, history, q[chords], q[chords])
+        data["unloaded"] = initial_strains(self, data, history, q[chords])
         return Mesh(self, q, chords, data, history)
 
     def strains(self, data: Any, history: Any, before: jax.Array, q: jax.Array) -> jax.Array:

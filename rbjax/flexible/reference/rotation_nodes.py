@@ -61,7 +61,7 @@ class RotationNodes(Formulation):
 def nodes_on(curve: Curve, s: np.ndarray) -> jax.Array:
     """Return the coordinates (..., 7) of sections of an unloaded beam at arclengths s (...)."""
     x, R = curve(s.ravel())
-    q = jnp.concatenate([jnp.asarray(x), from_matrix(jnp.asarray(R))], -1)
+    q = jnp.concatenate([jnp.asarray(x), jax.jit(from_matrix)(jnp.asarray(R))], -1)
     return q.reshape(*s.shape, 7)
 
 

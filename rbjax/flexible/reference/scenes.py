@@ -26,6 +26,7 @@ def cantilever(
     moment: Any = (0.0, 0.0, 0.0),
     steps: int = 1,
     curve: Curve | None = None,
+    planar: bool = False,
 ) -> jax.Array:
     """Compute the displacement of the tip of a cantilever under a dead force and moment, (3,), m.
 
@@ -34,6 +35,7 @@ def cantilever(
     force, moment: on the tip, (3,), world axes, N and N m. They grow in proportion.
     steps: number of loads on the way, without the unloaded state.
     curve: the unloaded beam; straight along x from the origin if None.
+    planar: whether to fix the dofs out of the plane x-y; a planar formulation has none.
     Raises RbjaxError if Newton's method fails: more steps help.
 
     >>> import rbjax.flexible.reference as rf
@@ -47,7 +49,7 @@ def cantilever(
         raise InputError(f"steps is {steps}. It must be at least 1.")
     curve = line() if curve is None else curve
     mesh = formulation.build(curve, length, section, elements)
-    supports = formulation.supports(mesh, planar=not formulation.spatial)
+    supports = formulation.supports(mesh, planar=planar or not formulation.spatial)
     wrench = np.zeros((steps, len(mesh.q), 6))
     wrench[:, -1] = np.linspace(0, 1, steps + 1)[1:, None] * np.array([*force, *moment])
     found = solve_static(mesh, wrench, supports)
