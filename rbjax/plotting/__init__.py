@@ -2,7 +2,8 @@
 
 `draw` shows one posture, and `strobe` a motion in one picture. `animate` writes a GIF, an MP4 or an
 HTML page. All draw a model from its parameters (rods and ellipsoids of inertia) or from its file
-(geoms), with beams as swept tubes and modal bodies as lines between their frames. `top_view` and `animate_top_view` show wheeled robots from above.
+(geoms), with beams as swept tubes and modal bodies as lines between their frames. `top_view` and
+`animate_top_view` show wheeled robots from above.
 """
 
 from rbjax.plotting.animation import animate

@@ -62,7 +62,8 @@ def outlines(
             face = (red, green, blue, opacity)
             edge = (0.62 * red, 0.62 * green, 0.62 * blue, opacity)
             if s.end is not None:  # a segment of a tube: opaque, since segments overlap
-                face = edge = (*(1 - opacity * (1 - x) for x in s.color), 1.0)
+                red, green, blue = (1 - opacity * (1 - x) for x in s.color)
+                face = edge = (red, green, blue, 1.0)
             outline = Outline(hull, face, edge)
             found.append((float(view[:, 2].mean()), outline))
     return [outline for _, outline in sorted(found, key=lambda item: item[0])]

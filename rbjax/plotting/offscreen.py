@@ -86,7 +86,8 @@ def _write(
     m = compile_model(source, floating_base=floating_base)
     mujoco.mj_saveModel(m, str(folder / "model.mjb"))
     np.save(folder / "q.npy", np.asarray(q, float))
-    np.savez(folder / "tubes.npz", **_tubes(film))
+    ends, radius, color = _tubes(film)
+    np.savez(folder / "tubes.npz", ends=ends, radius=radius, color=color)
     # the distance fits the film's height; MuJoCo's azimuth is the direction of view
     half = max(film.size[1], film.size[0] * size[1] / size[0]) / 2
     view = {
@@ -99,17 +100,15 @@ def _write(
     (folder / "view.json").write_text(json.dumps(view))
 
 
-def _tubes(film: Film) -> dict[str, np.ndarray]:
+def _tubes(film: Film) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the segments of flexible links of the first sample: ends (F, n, 2, 3), m, radius (n,),
     m, of a circle with the area of the section, and colour (n, 4)."""
     tubes = [s for s in film.shapes if s.end is not None]
     at = np.array([(s.body, s.end) for s in tubes], int).reshape(-1, 2)
     sizes = [np.linalg.norm(s.points, axis=-1) for s in tubes]
-    return {
-        "ends": film.p[0][:, at],
-        "radius": np.array([np.sqrt(x.min() * x.max()) for x in sizes]),
-        "color": np.array([(*s.color, s.alpha) for s in tubes], np.float32).reshape(-1, 4),
-    }
+    radius = np.array([np.sqrt(x.min() * x.max()) for x in sizes])
+    color = np.array([(*s.color, s.alpha) for s in tubes], np.float32).reshape(-1, 4)
+    return film.p[0][:, at], radius, color
 
 
 def _start(folder: str, gl: str | None) -> subprocess.Popen[bytes]:

@@ -106,7 +106,7 @@ def test_the_segments_are_drawn(arm):
 def test_what_mujoco_adds_to_its_scene(arm):
     q = np.array([[[0.3, 0.5, 0.1], [0.2, 0.1, 0.0]]])
     shown = film(arm, np.zeros(2), q, rb.plotting.skeleton(arm))
-    found = offscreen._tubes(shown)
-    assert found["ends"].shape == (2, 48, 2, 3) and found["color"].shape == (48, 4)
-    np.testing.assert_allclose(found["radius"], RADIUS, rtol=1e-12)
-    np.testing.assert_allclose(found["ends"][:, -1, 1], shown.p[0, :, arm.body("rod")], atol=1e-9)
+    ends, radius, color = offscreen._tubes(shown)
+    assert ends.shape == (2, 48, 2, 3) and color.shape == (48, 4)
+    np.testing.assert_allclose(radius, RADIUS, rtol=1e-12)
+    np.testing.assert_allclose(ends[:, -1, 1], shown.p[0, :, arm.body("rod")], atol=1e-9)
