@@ -27,7 +27,7 @@ from rbjax.dynamics.algorithms.aba import (
     transforms,
 )
 from rbjax.dynamics.drivers.contract import Driver
-from rbjax.joints import Block
+from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, add, mul, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 

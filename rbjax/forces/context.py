@@ -23,7 +23,7 @@ from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
-from rbjax.joints import Block
+from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
 from rbjax.model import Frame as NamedFrame

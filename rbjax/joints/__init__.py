@@ -14,7 +14,6 @@ from rbjax.joints.flexible import (
     LinkInertia,
 )
 from rbjax.joints.joint import (
-    Block,
     DofKind,
     DofSpec,
     Joint,
@@ -29,7 +28,6 @@ from rbjax.joints.registry import kind, kinds, register
 __all__ = [
     "HINGE",
     "SLIDE",
-    "Block",
     "CoordinateMotion",
     "DofKind",
     "DofSpec",

@@ -58,6 +58,11 @@ ELSEWHERE: dict[str, set[str]] = {
                 "lobatto_iiic", "newmark", "newton", "pece", "radau_iia", "rkmk",
                 "ros2", "ros34pw2", "stoermer_verlet", "symplectic_euler", "trapezoid",
                 "very_chord", "yoshida4", "yoshida6"},
+    # finite elements, files, sums over points on the host, links of a model: tests/flexible/modal
+    "flexible": {"add_modal_body", "beam_mesh", "box_mesh", "craig_bampton", "elastic_force",
+                 "fast_rotation", "from_points", "from_sid", "inertia_invariants",
+                 "read_mbdyn_modal", "read_sid", "stiffness_in_motion", "tetrahedral_mesh",
+                 "with_middle_nodes", "write_sid"},
     "plotting": {"animate", "animate_top_view", "bare", "draw", "draw_solids", "poses", "skeleton",
                  "solids", "strobe", "time_plot", "top_view"},
     "validation": {"compare"},

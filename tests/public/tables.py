@@ -22,6 +22,7 @@ from tests import test_registry as of_models
 from tests.body import test_composes as of_bodies
 from tests.composing import cast
 from tests.public import designs
+from tests.public.beams import FLEXIBLE
 from tests.public.designs import RNG, state
 from tests.public.grid import Case, same
 from tests.robots import robot
@@ -236,4 +237,5 @@ TABLES: dict[str, dict[str, Case]] = {
     "estimation": designs.ESTIMATION,
     "sysid": designs.SYSID,
     "stability": designs.STABILITY,
+    "flexible": FLEXIBLE,
 }

@@ -54,7 +54,8 @@ from rbjax.dynamics.tracing.custom_rules import (
     with_implicit_jvp,
 )
 from rbjax.errors import ModelError
-from rbjax.joints import Block, JointMotion
+from rbjax.joints import JointMotion
+from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Sym3, Vec3, add, batch_first, is_zero
 from rbjax.model import LinkConstants, Model, with_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform

@@ -23,7 +23,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from rbjax.errors import ModelError
-from rbjax.joints import Block, LinkInertia
+from rbjax.joints import LinkInertia
+from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, add, inner, is_zero, mul, sub
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.joints import Block, JointMotion
+from rbjax.joints import JointMotion
+from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Force, Motion, Transform

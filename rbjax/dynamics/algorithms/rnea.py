@@ -30,7 +30,7 @@ from rbjax.dynamics.algorithms.kinematics import (
 )
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
-from rbjax.joints import Block
+from rbjax.joints.joint import Block
 from rbjax.lanes import Mat3, Vec3, add, mul
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
