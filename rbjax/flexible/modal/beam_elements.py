@@ -19,7 +19,11 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.flexible.cross_section import Section
-from rbjax.flexible.modal.finite_elements import FiniteElements, quadratic_form
+from rbjax.flexible.modal.finite_elements import (
+    FiniteElements,
+    block_diagonal,
+    quadratic_form,
+)
 
 #: points of an element: products of two cubic functions and a linear section have degree 7
 POINTS = 4
@@ -155,7 +159,7 @@ def beam_mesh(
     spin = np.stack([value["rotary0"], value["rotary1"], value["rotary2"]], -1)
     J = np.einsum("eba,egb,ebc->egac", R, spin, R).reshape(-1, 3, 3) * w[:, None, None]
     masses = value["mass"].ravel() * w
-    M = quadratic_form(D, np.repeat(masses, 3)) + T.T @ sparse.block_diag(list(J), "csr") @ T
+    M = quadratic_form(D, np.repeat(masses, 3)) + T.T @ block_diagonal(J) @ T
     K = quadratic_form(B, (stiff.reshape(-1, 6) * w[:, None]).ravel())
     places = np.einsum("gk,eka->ega", along_s, x[ends]).reshape(-1, 3)
     axial, EA = B[3::6], value["EA"].ravel()

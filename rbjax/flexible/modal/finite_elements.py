@@ -139,3 +139,11 @@ def quadratic_form(A: Any, weights: np.ndarray) -> Any:
     from scipy import sparse
 
     return sparse.csr_matrix(A.T @ sparse.diags(weights) @ A)
+
+
+def block_diagonal(blocks: np.ndarray) -> Any:
+    """Return a sparse block-diagonal matrix of blocks (b, 3, 3)."""
+    from scipy import sparse
+
+    b = len(blocks)
+    return sparse.bsr_matrix((blocks, np.arange(b), np.arange(b + 1)), (3 * b, 3 * b)).tocsr()

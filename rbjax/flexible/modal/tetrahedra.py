@@ -14,7 +14,11 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.flexible.modal.finite_elements import FiniteElements, quadratic_form
+from rbjax.flexible.modal.finite_elements import (
+    FiniteElements,
+    block_diagonal,
+    quadratic_form,
+)
 
 #: nodes at the ends of the edge of each middle node 4 to 9, as in VTK and Abaqus
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
@@ -80,7 +84,7 @@ def tetrahedral_mesh(
     def prestress(u: np.ndarray) -> Any:
         s = (strain @ u).reshape(-1, 6) @ C * w[:, None]
         stress = s[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
-        return sparse.csr_matrix(G.T @ _blocks(np.repeat(stress, 3, axis=0)) @ G)
+        return sparse.csr_matrix(G.T @ block_diagonal(np.repeat(stress, 3, axis=0)) @ G)
 
     places = np.einsum("gn,ena->ega", N, x[cells]).reshape(-1, 3)
     return FiniteElements(
@@ -220,11 +224,3 @@ def _assemble(rows: np.ndarray, cells: np.ndarray, n: int) -> Any:
     out = sparse.csr_matrix((rows.ravel(), (where, columns)), (e * g * k, 3 * n))
     out.eliminate_zeros()
     return out
-
-
-def _blocks(blocks: np.ndarray) -> Any:
-    """Return a sparse block-diagonal matrix of blocks (b, 3, 3)."""
-    from scipy import sparse
-
-    b = len(blocks)
-    return sparse.bsr_matrix((blocks, np.arange(b), np.arange(b + 1)), (3 * b, 3 * b)).tocsr()
