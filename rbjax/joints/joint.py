@@ -243,9 +243,9 @@ class Joint:
         on_world: True if the coordinates are relative to the world.
     """
 
-    name: ClassVar[str]
+    name: str
     dofs: tuple[DofSpec, ...]
-    params: ClassVar[Mapping[str, float | tuple[float, ...]]] = MappingProxyType({})
+    params: Mapping[str, float | tuple[float, ...]] = MappingProxyType({})
     quaternion: ClassVar[bool] = False
     aligned: ClassVar[bool] = True
     shortest_turn: ClassVar[bool] = False

@@ -150,7 +150,7 @@ class ModalLink(Flexible):
         self.layout = layout
         self.coordinates, self.count = layout.modes, layout.frames
         values = tuple(map(float, values)) or (0.0,) * len(layout.entries)
-        self.params: Mapping[str, Any] = MappingProxyType({"numbers": values})  # type: ignore[misc]
+        self.params: Mapping[str, Any] = MappingProxyType({"numbers": values})
         super().__init__()
 
     @classmethod

@@ -80,7 +80,7 @@ class StrainBeam(Flexible):
 
     def __init__(self, shape: Shape):
         self.shape = shape
-        self.name = shape.name  # type: ignore[misc]
+        self.name = shape.name
         self.columns = tuple(
             (STRAINS.index(name), j) for name, degree in shape.degrees for j in range(degree + 1)
         )
@@ -110,7 +110,7 @@ class StrainBeam(Flexible):
         each = {"mass_per_length": (1.0,), "rotary_inertia": (1e-4, 5e-5, 5e-5)}
         if shape.eccentric:
             each |= {"first_moment": (0.0, 0.0), "product_of_inertia": (0.0,)}
-        self.params = {  # type: ignore[misc]
+        self.params = {
             "length": 1.0,
             **{key: value * stations for key, value in each.items()},
             **{f"natural_{strain}": (0.0,) * (j + 1) for strain, j in shape.natural},
