@@ -2,7 +2,8 @@
 
 `python -m benchmarks.gpu.flexible` writes results/gpu-flexible-<device>.json: beams of 8 and of 52
 coordinates (`benchmarks.cases.beams`), `jax.vmap` of `rb.forward_dynamics`, batch first, in f64 and
-f32; and its vjp by q, v and tau. On a CPU it measures the same with a smaller batch.
+f32; its vjp by q, v and tau; and steps of `rb.rollout` with elasticity and damping. On a CPU it
+measures the same with a smaller batch.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from benchmarks.cases.beams import CASES
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
 
+STEPS = 50
 COLUMNS = ("robot", "nv", "dtype", "run", "batch", "lower_s", "compile_s", "M/s median")
 
 
@@ -37,6 +39,17 @@ def rows(names: list[str], batch: int, *, gradient: bool) -> Iterator[dict]:
                     return jax.vjp(forward, q, v, tau)[1](w)
 
                 yield timed(row | {"run": "vjp"}, back, q, v, tau, w, work=batch)
+            some = rb.State(q[: batch // 4], v[: batch // 4])
+
+            def last(state, model=model):
+                path = rb.rollout(
+                    model, state, None, 1e-3, steps=STEPS, save_every=STEPS,
+                    integrator="implicitfast",
+                )  # fmt: skip
+                return path.q[:, -1]
+
+            row |= {"batch": batch // 4, "run": "rollout, implicitfast"}
+            yield timed(row, last, some, work=batch // 4 * STEPS)
 
 
 def main() -> None:
