@@ -3,7 +3,7 @@
 `python -m benchmarks.flexible.reference_accuracy [--scenes elastica bend flying spin_up] [--small]`
 writes results/flexible-reference-accuracy-<device>.json. An error is the largest deviation of the
 scene's answer, in m, from closed forms or converged digits; `benchmarks.flexible.beam_scenes` has
-the scenes and says how to add a formulation. Compilation is not counted. In a motion the step falls
+the scenes and says how to add a formulation; `own_beams` has strain coordinates. Compilation is not counted. In a motion the step falls
 with the segments.
 """
 
@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.flexible.beam_scenes import ANSWERS, Entry, measure, references
+from benchmarks.flexible.own_beams import own_beams
 from benchmarks.shared.timing import others, save
 
 NAME = "flexible-reference-accuracy"
@@ -57,7 +58,7 @@ if __name__ == "__main__":
     )
     parser.add_argument("--small", action="store_true", help="two resolutions, one run")
     given = parser.parse_args()
-    rows = compare(references(), given.scenes, given.small)
+    rows = compare(references() + own_beams(), given.scenes, given.small)
     show(rows)
     if not given.small:
         save(NAME, rows + others(NAME, rows, ["scene", "formulation", "segments"]))
