@@ -12,6 +12,7 @@ import numpy as np
 
 from rbjax.arguments import floating_array
 from rbjax.errors import InputError
+from rbjax.joints import Flexible
 from rbjax.model import Frame, Model, State
 from rbjax.model.record import FEW
 
@@ -77,6 +78,7 @@ def check_arrays(
     for name in ("q", "q0", "q1"):
         if name in out:
             check_quaternions(where, name, model, out[name])
+            check_links(where, name, model, out[name])
     if step is not None:
         out["dt"] = check_step(where, "dt", step, dtype)
     if stated:
@@ -215,3 +217,18 @@ def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None
                 f"infinite in {values.dtype}), expected a unit one (w, x, y, z); "
                 f"no rotation is (1, 0, 0, 0)"
             )
+
+
+def check_links(where: str, name: str, model: Model, q: jax.Array) -> None:
+    """Raise `InputError` if a flexible link cannot have its coordinates in an untraced q."""
+    top, params = model.topology, model.joints.params
+    if not top.frames or isinstance(q, jax.core.Tracer) or isinstance(params, jax.core.Tracer):
+        return
+    values, numbers, at = np.asarray(q), np.asarray(params), 0
+    for joint, start, own in zip(top.joints, top.joint_q, top.joint_names, strict=True):
+        end = at + len(joint.defaults)
+        if isinstance(joint, Flexible):
+            reason = joint.invalid(values[..., start : start + joint.nq], numbers[at:end])
+            if reason is not None:
+                raise InputError(f"{where}: {name} is out of range for the link {own!r}: {reason}")
+        at = end

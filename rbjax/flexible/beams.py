@@ -108,6 +108,11 @@ class Beam(Record):
             >>> model.nv, model.body_names
             (4, ('rod', 'middle'))
         """
+        if frames is not None and not isinstance(frames, Mapping):
+            raise InputError(
+                f"with_beam: frames is {type(frames).__name__}, expected a mapping from the name "
+                'of a body to its place s / L, for example {"middle": 0.5}'
+            )
         places = dict(frames or {})
         joint = self.joint(tuple(places.values()))
         base = {"position": position, "orientation": orientation}
@@ -216,12 +221,36 @@ def beam(
     C = given.stiffness
     root = jnp.sqrt(jnp.broadcast_to(ratio, (6,)))
     viscosity = C * root[:, None] * root
-    curved = {name: jnp.atleast_1d(jnp.asarray(x, float)) for name, x in (natural or {}).items()}
-    own = {"k_x": 2, "k_y": 2, "k_z": 2} if degrees is None else dict(degrees)
+    own = {"k_x": 2, "k_y": 2, "k_z": 2} if degrees is None else degrees
+    for key, mapping in (("degrees", own), ("natural", natural or {})):
+        if not isinstance(mapping, Mapping):
+            raise InputError(
+                f"beam: {key} is {type(mapping).__name__}, expected a mapping from strain to "
+                f"{'degree' if key == 'degrees' else 'Legendre coefficients'}"
+            )
+    curved = {name: _coefficients(name, x) for name, x in (natural or {}).items()}
     out = Beam(length, given, viscosity, curved, tuple(own.items()), points)
     joint = out.joint()  # checks the strains
     _check_stiffness(C, joint)
+    params = out.params(joint)
+    if not isinstance(params, jax.core.Tracer):
+        reason = joint.invalid(np.zeros(joint.coordinates), np.asarray(params))
+        if reason is not None:
+            raise InputError(f"beam: natural is out of range: {reason}")
     return out
+
+
+def _coefficients(name: str, x: Any) -> jax.Array:
+    """Check the Legendre coefficients of a natural curvature."""
+    values = jnp.atleast_1d(jnp.asarray(x, float))
+    if values.ndim != 1:
+        raise InputError(
+            f"beam: natural[{name!r}] has the shape {values.shape}, expected (n,), Legendre "
+            "coefficients from degree 0 upwards, 1/m"
+        )
+    if not isinstance(values, jax.core.Tracer) and not np.isfinite(np.asarray(values)).all():
+        raise InputError(f"beam: natural[{name!r}] is {x}, expected finite values")
+    return values
 
 
 def _section(given: Any, mass: Any, inertia: Any) -> Section:

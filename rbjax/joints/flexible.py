@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.joints.joint import Block, DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, inner, is_zero
@@ -179,6 +180,10 @@ class Flexible(Joint):
         self.frame_specs = tuple(
             DofSpec(FrameKind(self), none, none, from_reference=False) for _ in range(self.count)
         )
+
+    def invalid(self, q: np.ndarray, params: np.ndarray) -> str | None:
+        """Return why the link cannot have the coordinates q (..., n), as a clause, or None."""
+        return None
 
     def frames(
         self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]

@@ -301,6 +301,10 @@ class Model(Record):
             >>> rb.load("<mujoco/>").with_beam("rod", rod).nv
             3
         """
+        if isinstance(beam, type) or not callable(getattr(beam, "add", None)):
+            raise InputError(
+                f"with_beam: beam is {_described(beam)}, expected a beam of rbjax.flexible.beam"
+            )
         return beam.add(self, name, parent, **given)
 
     def keyframe(self, name: str) -> State:

@@ -55,6 +55,10 @@ def with_link(
     body, j, count = top.nb, len(top.joints), 1 + len(frames)
     position = array_like("with_link(position=...)", position, (3,), dtype, infinite=False)
     orientation = array_like("with_link(orientation=...)", orientation, (4,), dtype, infinite=False)
+    if not isinstance(orientation, jax.core.Tracer) and not np.asarray(orientation).any():
+        raise InputError(
+            "with_link(orientation=...): got zero, expected a unit quaternion (w, x, y, z)"
+        )
     shape = (len(joint.defaults),)
     params = np.array(joint.defaults) if params is None else params
     params = array_like("with_link(params=...)", params, shape, dtype, infinite=False)
@@ -116,12 +120,12 @@ def _with(x: Any, *more: Any) -> jax.Array:
 
 
 def _check(top: Any, name: str, joint: Joint, frames: Mapping[str, int]) -> None:
-    for given in (name, *frames):
-        taken = given in top.body_names or given == "world"
+    for k, given in enumerate((name, *frames)):
+        taken = given in top.body_names or given == "world" or (k > 0 and given == name)
         if not isinstance(given, str) or not given or taken:
             raise InputError(
                 f"with_link: got the name {given!r}, expected a new name of a body; the model has "
-                f"{list(top.body_names)}"
+                f"{[*top.body_names, *([name] if k else [])]}"
             )
     if name in top.joint_names:
         raise InputError(f"with_link: the model has a joint {name!r} already; choose another name")

@@ -121,6 +121,18 @@ class StrainBeam(Flexible):
     def body_frame(self) -> int:
         return self.tip
 
+    def invalid(self, q: np.ndarray, params: np.ndarray) -> str | None:
+        lanes = [float(x) if np.ndim(x) == 0 else x for x in np.moveaxis(q, -1, 0)]
+        with np.errstate(all="ignore"):
+            k = self._curvature(lanes, self.named(params.tolist()))
+            largest = max(float(np.max(x)) for x in self.cells.angles(k))
+        if largest < np.pi**2:
+            return None
+        return (
+            f"a part of the beam between Gauss points turns by {np.sqrt(largest):.3g} rad, and the "
+            "kinematics need less than pi; use more points, or several beams in series"
+        )
+
     def frames(
         self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
     ) -> list[FrameMotion]:
