@@ -37,10 +37,10 @@ class BeamElasticity(Element):
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> rod = rb.flexible.beam(2.0, [0, 0, 6.0, 0, 0, 0], {"k_z": 1}, mass=0.5)
-        >>> model = rb.load("pendulum").with_beam("beam", rod)
-        >>> state = model.default_state().replace(q=jnp.array([0.0, 1.0, 1.0]))
+        >>> model = rb.load("<mujoco/>").with_beam("rod", rod)
+        >>> state = model.default_state().replace(q=jnp.array([1.0, 1.0]))
         >>> rb.applied_forces(model, state).tolist()
-        [0.0, -12.0, -4.0]
+        [-12.0, -4.0]
     """
 
     stiffness: jax.Array
