@@ -86,7 +86,14 @@ def flexible_links(model: Model) -> list[FlexibleLink]:
             own = body, top.body_parents[body], model.q_slice(top.joint_names[j]), params
             if isinstance(joint, StrainBeam):
                 segments = max(_FEWEST, _SEGMENTS // beams)
-                out.append(_beam(joint, *own, segments, _stiffness(model, top.joint_names[j])))
+                out.append(
+                    _beam(
+                        joint,
+                        *own,
+                        segments,
+                        _stiffness(model, top.joint_names[j], joint.shape.tapered),
+                    )
+                )
             else:
                 out.append(_lines(joint, *own))
         at += count
@@ -197,12 +204,12 @@ def _beam(
     return FlexibleLink(joint, fine, chosen, body, parent, coordinates, params, lines, radii)
 
 
-def _stiffness(model: Model, name: str) -> Array | None:
+def _stiffness(model: Model, name: str, tapered: bool) -> Array | None:
     """Return 4 EI / EA about z and y, (1 or points, 2), of a beam; None if it has no stiffness."""
     for force in model.forces:
         if isinstance(force, BeamElasticity) and force.joint == name:
             C = np.asarray(force.stiffness, float)
-            C = np.diagonal(C, axis1=-2, axis2=-1) if C.shape[-2:] == (6, 6) else C
+            C = np.diagonal(C, axis1=-2, axis2=-1) if C.ndim == 2 + tapered else C
             C = C.reshape(-1, 6)
             axial = C[:, 3:4]
             return np.where(axial > 0, 4 * C[:, [2, 1]] / np.where(axial > 0, axial, 1.0), 0.0)
