@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from rbjax.dynamics import kinetic_energy, potential_energy
 from rbjax.forces.acting import elastic_energy
 from rbjax.forces.context import Context
-from rbjax.lanes import Lane, Mat3, Vec3, add, total
+from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, total
 from rbjax.model import WORLD, Frame, Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
@@ -28,15 +28,24 @@ _LEAST = 1e-15  # kg; MuJoCo's least mass of a subtree, below which its center i
 
 
 class Centers(NamedTuple):
-    """The masses, and the positions and velocities of the centers of mass of a subtree's bodies."""
+    """The parts of a subtree: its bodies, then the inertias of its flexible links.
+
+    Fields:
+        masses: kg.
+        positions, velocities: of the centers of mass, in the world.
+        spins: angular momenta about the centers of mass in world axes.
+    """
 
     masses: list[Lane]
     positions: list[Vec3]
     velocities: list[Vec3]
+    spins: list[Vec3]
 
 
 class SubtreeSensor(FixedSensor):
     """Base class of a sensor of a body and all bodies that it carries.
+
+    A flexible link, such as a beam, belongs to the body that it moves.
 
     body: name or index of the body; "world" for the whole robot; static.
     """
@@ -60,15 +69,40 @@ class SubtreeSensor(FixedSensor):
         return sorted(inside)
 
     def centers(self, context: Context) -> Centers:
-        """Return masses, positions and velocities of the centers of mass."""
+        """Return masses, positions and velocities of the centers of mass, and spins."""
         masses = table(context.model.bodies.mass, context.q.dtype)
+        J = table(context.model.bodies.inertia, context.q.dtype)
         inside = self.bodies(context.model)
         frames = [context.frame(Frame(center=b)) for b in inside]
-        return Centers(
+
+        def spin(b: int) -> Vec3:
+            frame = context.body(b)
+            inertia = Mat3(*(lane(J[:, i, j], b) for i in range(3) for j in range(3)))
+            return frame.rotation @ (inertia @ frame.twist.ang)
+
+        out = Centers(
             [lane(masses, b) for b in inside],
             [x.position for x in frames],
             [x.velocity for x in frames],
+            [spin(b) for b in inside],
         )
+        top = context.model.topology
+        for i, link in enumerate(top.links if top.frames else ()):
+            if link.body in inside:
+                self._add_link(context, i, out)
+        return out
+
+    def _add_link(self, context: Context, link: int, out: Centers) -> None:
+        """Append the inertia of the joint of a link, if it has a mass."""
+        pose = context.links.pose(link)
+        own, momentum = context.links.to_parent(link)[1].own_momentum(context.links.twist(link))
+        if is_zero(own.m):
+            return
+        center = own.h * (1 / own.m)
+        out.masses.append(own.m)
+        out.positions.append(pose.p + pose.R @ center)
+        out.velocities.append(pose.R @ (momentum.lin * (1 / own.m)))
+        out.spins.append(pose.R @ (momentum.ang - center.cross(momentum.lin)))
 
     def mean(self, context: Context, masses: list[Lane], vectors: list[Vec3]) -> Vec3:
         """Return the mean of vectors weighted by mass; the vector of the first body if the subtree
@@ -117,12 +151,8 @@ class SubtreeAngularMomentum(SubtreeSensor):
         own = self.centers(context)
         center = self.mean(context, own.masses, own.positions)
         velocity = self.mean(context, own.masses, own.velocities)
-        J = table(context.model.bodies.inertia, context.q.dtype)
         out = Vec3.zero()
-        for b, m, c, v in zip(self.bodies(context.model), *own, strict=True):
-            frame = context.body(b)
-            inertia = Mat3(*(lane(J[:, i, j], b) for i in range(3) for j in range(3)))
-            spin = frame.rotation @ (inertia @ frame.twist.ang)
+        for m, c, v, spin in zip(*own, strict=True):
             out = out + spin + (c - center).cross((v - velocity) * m)
         return reading(context, out)
 
