@@ -1,4 +1,4 @@
-"""Motions of beams as links: spin-up, flying beams, gradients."""
+"""Motions of beams as links: spin-up, flying beams, invariants, gradients."""
 
 from __future__ import annotations
 
@@ -114,6 +114,28 @@ def test_flying_beam(EI: float, tolerance: float) -> None:
         np.testing.assert_allclose(found, want, rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
+def test_invariants_of_free_flight() -> None:
+    """Energy and momenta over 100,000 steps of the variational midpoint rule."""
+    model = flying(500.0, 1, {"k_z": 3, "e_x": 1, "g_y": 1})
+    _, path = flight(model, 1e-4, 100_000, 1000, integrator="variational_midpoint")
+    K = -jax.jacfwd(lambda q: rb.applied_forces(model, rb.State(q, 0 * q)))(path.q[0])
+
+    @compiled
+    @jax.vmap
+    def invariants(q, v):
+        h, c = rb.centroidal_momentum(model, q, v), rb.center_of_mass(model, q)
+        spin = h[2] + jnp.cross(c, h[3:])[2]
+        return jnp.stack([rb.kinetic_energy(model, q, v) + q @ K @ q / 2, h[3], h[4], spin])
+
+    x = np.asarray(invariants(path.q, path.v))
+    assert np.abs(x[:, 1:3] - [20.0, 0.0]).max() < 1e-8  # the impulse of the load
+    scale = np.maximum(1.0, np.abs(x[0]))
+    trend = np.polyfit(np.linspace(0, 1, len(x)), x, 1)[0] / scale
+    assert (np.abs(trend) < 1e-9).all(), trend
+    assert (np.ptp(x, 0) / scale < [4e-9, 1e-9, 1e-9, 1e-9]).all(), np.ptp(x, 0) / scale
+
+
 #: EI, GJ, mass per length, length, ratio of viscosity to stiffness
 NUMBERS = jnp.array([5.0, 3.0, 1.0, 1.2, 2e-3])
 
@@ -145,7 +167,7 @@ def after_fifty_steps(model: rb.Model, integrator: str, numbers: jax.Array) -> j
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("integrator", ["implicitfast"])
+@pytest.mark.parametrize("integrator", ["implicitfast", "discrete"])
 def test_gradient_of_a_rollout(integrator: str) -> None:
     """By central differences with steps of 0.2 %, 0.4 % and 0.8 %, extrapolated to order 6."""
     one = functools.partial(after_fifty_steps, swinging(), integrator)
