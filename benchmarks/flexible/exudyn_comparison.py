@@ -1,4 +1,4 @@
-"""Error against time: Exudyn's planar beams and the reference formulations, in one run.
+"""Error against time: Exudyn's planar beams and strain coordinates, in one run.
 
 `python -m benchmarks.flexible.exudyn_comparison [--scenes elastica flying spin_up] [--small]` needs
 `pip install exudyn` and writes results/flexible-exudyn-<device>.json. Exudyn's beams are
@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 
 from benchmarks.flexible.beam_scenes import (
@@ -27,6 +28,7 @@ from benchmarks.flexible.beam_scenes import (
     Prepared,
     references,
 )
+from benchmarks.flexible.own_beams import own_beams
 from benchmarks.flexible.reference_accuracy import compare, show
 from benchmarks.shared.timing import others, save
 
@@ -199,10 +201,13 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES)
     parser.add_argument("--small", action="store_true", help="two resolutions, one run")
+    parser.add_argument("--references", action="store_true", help="the nodal elements too, minutes")
     given = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
     if exudyn is None:
         raise SystemExit("Exudyn is not installed. Install it by `pip install exudyn`.")
     ours = [one for one in references() if "full" not in one.name and "incr" not in one.name]
+    ours = own_beams()[:1] + (ours if given.references else [])
     rows = compare(exudyn_entries() + ours, [*given.scenes], given.small)
     for row in rows:
         row["exudyn"] = exudyn.__version__

@@ -1,7 +1,8 @@
 """Beams as models of rbjax, as entries of a comparison: strain coordinates and simpler chains.
 
-Each has n coordinates of bending in the plane. It has the scene "elastica" only, in equilibrium by
-Newton's method on the forces of the model, with the load in ten steps.
+In the scene "elastica" each has n coordinates of bending in the plane; it is in equilibrium by
+Newton's method on the forces of the model, with the load in ten steps. The motions have strain
+coordinates only, in links of eight or eleven coordinates (`benchmarks.flexible.motions`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 import rbjax as rb
 import rbjax.flexible.reference as rf
 from benchmarks.flexible.beam_scenes import Entry, Prepared
+from benchmarks.flexible.motions import fly, spin_up
 
 LOAD = 10.0
 Case = tuple[rb.Model, str, float]
@@ -52,7 +54,9 @@ def own_beams() -> list[Entry]:
 
 
 def prepare(make: Callable[[int], Case], scene: str, n: int) -> Prepared | None:
-    """The elastica with a beam of n coordinates: their number and its solution."""
+    """A scene with a beam of n coordinates: their number and its solution."""
+    if make is strain_coordinates and scene in ("flying", "spin_up"):
+        return fly(n) if scene == "flying" else spin_up(n)
     if scene != "elastica" or (make is strain_coordinates and n > 16):
         return None
     model, body, offset = make(n)
