@@ -138,8 +138,8 @@ class Beam(Record):
     def replace_joint(self, model: Model, name: str) -> Model:
         """Put the beam in the place of a joint of a model, such as a hinge of a file.
 
-        The beam starts at the anchor of the joint, along x of the body, which moves with its tip.
-        The body keeps its geoms, sites and children.
+        The base frame is at the anchor of the joint, in the axes of the body. The frame of the body
+        moves to the tip, by the length along x, with its geoms, sites and children.
 
         Args:
             model: the model.

@@ -3,9 +3,9 @@
 The section is in the y z plane and the beam along x. Strains and forces are in the order
 
     k_x, k_y, k_z, e_x, g_y, g_z    (torsion, bending about y and z, axial strain, shear)
-    C = diag(GJ, EI_y, EI_z, EA, k_y GA, k_z GA),   I_y = int z^2 dA,   I_z = int y^2 dA
+    C = diag(GJ, EI_y, EI_z, EA, c_y GA, c_z GA),   I_y = int z^2 dA,   I_z = int y^2 dA
 
-Coefficients of shear by Cowper (*The shear coefficient in Timoshenko's beam theory*, J. Appl. Mech.
+Shear coefficients c by Cowper (*The shear coefficient in Timoshenko's beam theory*, J. Appl. Mech.
 33, 1966), with n for Poisson's ratio:
 
     circle 6 (1 + n) / (7 + 6 n),   rectangle 10 (1 + n) / (12 + 11 n)
@@ -41,7 +41,7 @@ class Section(Record):
     properties (`section`).
 
     Fields:
-        stiffness: C (..., 6, 6), N m^2 for the rows of curvature, N for the others.
+        stiffness: C (..., 6, 6), N m^2 for curvatures, N for the others, N m for couplings.
         mass: kg/m.
         inertia: rotary inertia (..., 3) about x, y and z, kg m.
         first_moment: y and z (..., 2) of the mass centre times the mass, kg.

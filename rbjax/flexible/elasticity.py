@@ -2,8 +2,9 @@
 
     tau = -K q - D q',    K = int B^T C B ds,   D = int B^T C_v B ds
 
-C is the stiffness of the section and C_v its viscosity (Kelvin and Voigt). If C is constant and
-diagonal, K is diagonal, so steps that are implicit in stiffness cost no more than explicit ones.
+B is the derivative of the strains by q, C the stiffness of the section and C_v its viscosity
+(Kelvin and Voigt). If C is constant and diagonal, K is diagonal. A step that is implicit in
+stiffness then adds it to the armature, without a further factorization.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ class BeamElasticity(Element):
     """The elasticity and damping of a beam. `Model.with_beam` adds it.
 
     Fields:
-        stiffness: C of the section in the order k_x, k_y, k_z, e_x, g_y, g_z: the diagonal (6,), or
-            (6, 6), or for a tapered beam one of these at each Gauss point.
+        stiffness: C of the section in the order k_x, k_y, k_z, e_x, g_y, g_z: the diagonal (6,) or
+            (6, 6); of a tapered beam one diagonal (points, 6) or matrix (points, 6, 6) at each
+            Gauss point.
         viscosity: C_v of the section, of the same shape.
         joint: the name of the beam; static.
 

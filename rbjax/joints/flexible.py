@@ -11,7 +11,8 @@ The kinetic energy of a link is a function of the twist V of its base and of q':
 
 The first term are rigid inertias I_k at frames, such as the sections of a beam. The others are the
 `LinkInertia` of a body whose deformation is a sum of modes (Jain & Rodriguez, JGCD 15(6), 1992).
-Each coordinate is a dof with S = 0 in the base frame. The frames are links without a dof.
+In the tree a flexible link is a chain of n dofs at the base frame, each with S = 0. The frames are
+children of the last dof, and have no velocity coordinate.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ class FrameMotion(NodeMotion):
             pose: pose of the frame in the base frame.
             axes: S_kj, in the axes of the frame.
             twist: S_k q', in the axes of the frame.
-            bias: S_k' q' with classical accelerations [w'; r''], in the axes of the frame.
+            bias: classical acceleration [w'; r''] of the frame relative to the base at q'' = 0, in
+                the axes of the frame.
             own: rigid inertia of the frame; None for none.
         """
         zero = Motion.zero()
@@ -93,8 +95,9 @@ class LinkInertia(NamedTuple):
         rigid: inertia I of the deformed link about its base frame.
         coupling: C, the momentum [angular; linear] for a unit rate of each coordinate.
         mass: m, rows of the modal mass matrix (n, n).
-        force: wrench on the base of velocities, without w x J w and w x (w x h) of `rigid`.
-        forces: generalized forces of velocities, one for each coordinate.
+        force: inertial force on the base that depends on velocities, in base axes, without
+            [w x J w; w x (w x h)] of `rigid` (on the left side of I a + C q'' + force = f).
+        forces: inertial generalized forces that depend on velocities, one for each coordinate.
     """
 
     rigid: RigidInertia
@@ -217,8 +220,8 @@ def differentiated_frames(
 ) -> list[FrameMotion]:
     """Compute `Flexible.frames` from the poses, with derivatives by JAX.
 
-    S_j = [vee(R^T dR/dq_j); R^T dr/dq_j]. The bias is the derivative of S q' along q', plus w x v:
-    it is relative to the base, whose axes do not rotate with the frame.
+    S_j = [vee(R^T dR/dq_j); R^T dr/dq_j]. The bias is S' q' + [0; w x v]. The second term converts
+    the derivative of components in axes that rotate to the classical acceleration.
     """
     like = next((x for x in q if hasattr(x, "dtype")), jnp.zeros(()))
     qs, vs = as_arrays(list(q), like), as_arrays(list(v), like)

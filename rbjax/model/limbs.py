@@ -1,10 +1,12 @@
 """Partition of a tree into a trunk and groups of equal limbs, which share one program.
 
-A *limb* is the subtree of a joint whose parent link is the world or has several children. Limbs
-with equal trees of joint kinds form a *group* and share one program. All links outside groups are
-the *trunk*. Groups are chosen greedily: the group that saves most links is chosen first.
+A *limb* in parallel is the subtree of a joint whose parent link is the world or has several
+children. Limbs with equal trees of joint kinds form a *group* and share one program. All links
+outside groups are the *trunk*. Groups are chosen greedily: the group that saves most links is
+chosen first.
 
-In trees with flexible links the limbs of a group may follow each other, as a cable of equal beams.
+A limb in series is a segment of one or more joints that is repeated at the end of a chain, such as
+a beam of a cable of equal beams. Trees with flexible links and without limbs in parallel use them.
 """
 
 from __future__ import annotations
@@ -126,7 +128,7 @@ def partition_series(top: Topology) -> Partition:
             count = _repeats(tokens, period)
             limbs = [chain[len(chain) - period * (n + 1) :][:period] for n in range(count)][::-1]
             saved = (count - 1) * sum(len(links[j]) for j in limbs[-1])
-            if saved > max(best[0], LEAST_SAVED):
+            if saved > best[0] and saved >= LEAST_SAVED:
                 best = saved, limbs
     saved, limbs = best
     if not saved:

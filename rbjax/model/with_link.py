@@ -1,4 +1,4 @@
-"""Addition of a link to a model: a joint and the bodies that it carries."""
+"""Addition of a body to a model, with its joint and further bodies at frames of the joint."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def with_link(
         name: name of the body and of the joint.
         joint: the kind of the joint; it need not be registered.
         parent: name of the parent body, or "world".
-        position: (3,) m, of the body's frame in its parent's at zero displacement; of the base
-            frame of a flexible link.
+        position: (3,) m, in the parent, of the body's frame at zero displacement; for a flexible
+            link, of its base frame.
         orientation: (4,) unit quaternion of the same frame.
         params: (n,) parameters of the joint, in the order of the kind; its default values if None.
         frames: name -> index of the frame of a flexible link, for each further body to add.
@@ -129,10 +129,13 @@ def _check(top: Any, name: str, joint: Joint, frames: Mapping[str, int]) -> None
             )
     if name in top.joint_names:
         raise InputError(f"with_link: the model has a joint {name!r} already; choose another name")
+    flexible = isinstance(joint, Flexible)
     count = joint.count if isinstance(joint, Flexible) else 0
+    own = joint.body_frame if isinstance(joint, Flexible) else None
     for given, k in frames.items():
-        if not 0 <= k < count or (isinstance(joint, Flexible) and k == joint.body_frame):
+        if not 0 <= k < count or k == own:
+            more = f", and frame {own} carries its own body" if flexible else ""
             raise InputError(
-                f"with_link: got frame {k} for the body {given!r}; the joint has {count} frames, "
-                "and the body of the joint is at the last one"
+                f"with_link: got frame {k} for the body {given!r}; the joint {joint.name!r} has "
+                f"{count} frames{more}"
             )

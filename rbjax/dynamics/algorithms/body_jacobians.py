@@ -2,8 +2,8 @@
 
     J_C = X J_P, plus the axis S in the column of the dof of the link
 
-A frame of a flexible link adds its axis S_j to the column of each coordinate j of the link. Use it
-for trees with flexible links, in which a dof moves several links (Lynch & Park, 5.1.2).
+A frame of a flexible link adds its axis S_j to the column of each coordinate j of the link. These
+are body Jacobians (Lynch & Park, 5.1.2). Use them for trees with flexible links.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def ancestor_mask(top: Topology, link: int) -> np.ndarray:
 
 
 def _columns(model: Model, q: jax.Array) -> list[tuple[Columns, Mat3]]:
-    """Compute the columns of each link in its own axes, and its rotation."""
+    """Compute the columns of each link in its own axes, and its rotation to world axes."""
     d = Unrolled(model, prepare(model, q.dtype))
     top = d.topology
 
@@ -65,7 +65,7 @@ def body_jacobians(model: Model, q: jax.Array) -> jax.Array:
 
 
 def point_jacobian(model: Model, q: jax.Array, link: int, r: Vec3) -> jax.Array:
-    """Compute the Jacobian (6, nv) of the point r of a link, in world axes."""
+    """Compute the Jacobian (6, nv), in world axes, of the point r in the axes of a link."""
     if link == WORLD:
         return jnp.zeros((6, model.nv), q.dtype)
     columns, R = _columns(model, q)[link]

@@ -1,20 +1,21 @@
-"""Factors of the mass matrix, link by link, and the elimination of coordinates by ABA.
+"""Factors of the mass matrix by ABA, one for each dof, and the elimination of coordinates.
 
 A dof with the axis S is eliminated in the link that it moves (aba.py):
 
     U = I_A S,  D = S.U + armature,  u = tau - S.p;   I_a = I_A - U U^T / D,  p_a = p + U u / D
 
-A coordinate j of a flexible link moves all frames k of the link, each with an axis S_kj. Its column
-is the sum of the messages of the frames, over the twist of the base and the coordinates:
+A coordinate j of a flexible link moves all frames f of the link, each with an axis S_fj. Its column
+is a sum over the frames, plus C_j and m_ij of a `LinkInertia`, if there is one:
 
-    C_j = sum X_k^T I_k S_kj,   m_ij = sum S_ki.I_k S_kj,   r_j = sum S_kj.p_k
+    C_j = sum X_f^T I_f S_fj,   m_ij = sum S_fi.I_f S_fj,   r_j = sum S_fj.p_f
 
-Elimination of the last coordinate k, of which one dof of the base frame is left:
+p_f includes the force I_f c_f of the bias acceleration c_f. The last coordinate k is eliminated
+first. The coordinates i, j < k remain:
 
     D = m_kk + armature,  u = tau - r_k,  I_a = I_A - C_k C_k^T / D,  p_a = p + C_k u / D,
     C_j = C_j - C_k m_kj / D,   m_ij = m_ij - m_ki m_kj / D,   r_j = r_j + m_kj u / D
 
-All coordinates together are the Cholesky elimination of m (Jain & Rodriguez, JGCD 15(6), 1992).
+All coordinates together are an L D L^T factorization of m (Jain & Rodriguez, JGCD 15(6), 1992).
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ class Factor(NamedTuple):
     def inward(
         self, tau: Lane, p_A: Force, block: Block, inertial: Force
     ) -> tuple[Lane, Force, Block]:
-        """Compute u, the force p_a = p_A + inertial + U u / D across the joint, and the block."""
+        """Compute u, the force p_a = p_A + inertial + U u / D on the parent, and the generalized
+        forces of the coordinates of a flexible link that remain. `inertial` is I_a c."""
         u = sub(tau, self.S.dot(p_A))
         return u, p_A + inertial + self.U * mul(u, self.inverse_D), ()
 
     def outward(self, u: Lane, a: Motion, block: Block) -> tuple[Motion, Lane, Block]:
-        """Compute the acceleration of the link and of the joint from the link's at qdd = 0."""
+        """Compute the acceleration of the link and qdd. a is the link's acceleration at qdd = 0."""
         qdd = mul(sub(u, self.U.dot(a)), self.inverse_D)
         return a + self.S * qdd, qdd, ()
 
@@ -75,7 +77,7 @@ class FrameFactor(NamedTuple):
 
 
 class CoordinateFactor(NamedTuple):
-    """The factors of a coordinate of a flexible link, as `Factor`, and m_kj of all j before it."""
+    """The factors of coordinate k of a flexible link: U = C_k, 1 / D, and the row m_kj of j < k."""
 
     X: Transform
     U: Force

@@ -1,13 +1,14 @@
 """The Coriolis matrix of a tree with flexible links.
 
-Let y = [V; q'] be the twist of a link in its own axes, and the rates of its coordinates if it has
-an inertia M(q) over both. Along the motion
+Let y = [V; q'] = J v be the twist of a link in its own axes, with the rates of its coordinates if
+it has an inertia I(q) over both. A prime is a time derivative:
 
-    C = sum over links of J^T (M J' + N J),    y = J v,
-    N = (M' + P - P^T) / 2 + Q,    P = [0, d(M y)/dq],   Q = -[[h~, p~], [p~, 0]; 0]
+    C = sum over links of J^T (I J' + N J),
+    N = (I' + P - P^T) / 2 + Q,    P = [0, d(I y)/dq],   Q = blockdiag(-[[h~, p~], [p~, 0]], 0)
 
-with [h; p] the momentum of the link, the part of M y for V. Q and P - P^T are skew, so M' = C + C^T
-holds for the mass matrix of the tree (Lagrange's equations in quasi-velocities, Hamel 1904).
+with [h; p] the momentum of the link, the part of I y for V. Q and P - P^T are skew, so M' = C + C^T
+for the mass matrix M = sum of J^T I J (Lagrange's equations in quasi-velocities, Hamel 1904). The
+stiffness of rotation of modal bodies (`rbjax.flexible.modal`) is not part of C.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ def flexible_coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Ar
     C = jnp.zeros((model.nv, model.nv), q.dtype)
     for i, (link, joint) in enumerate(zip(d.constants, d.joints(q, v), strict=True)):
         M = rigid_matrix(joint.inertia(link), q.dtype)
-        C = C + _sandwich(J[i], matmat(M, J_rate[i]) + matmat(_turned(M, matvec(J[i], v)), J[i]))
+        C = C + matmat(
+            J[i].T, matmat(M, J_rate[i]) + matmat(_momentum_matrix(M, matvec(J[i], v)), J[i])
+        )
         if joint.link_inertia(Vec3.zero()) is not None:
             C = C + _of_link_inertia(model, joint, i, J[i], J_rate[i], v)
     return C
@@ -57,15 +60,11 @@ def _of_link_inertia(model: Model, joint: Any, i: int, J: Any, J_rate: Any, v: A
     M, rate = jax.jvp(matrix, (q,), (v[at],))
     by_q = jax.jacfwd(lambda q: matvec(matrix(q), y))(q)
     P = jnp.concatenate([jnp.zeros((len(y), 6), v.dtype), by_q], 1)
-    N = (rate + P - P.T) / 2 + _turned(M, y)
-    return _sandwich(J, matmat(M, J_rate) + matmat(N, J))
+    N = (rate + P - P.T) / 2 + _momentum_matrix(M, y)
+    return matmat(J.T, matmat(M, J_rate) + matmat(N, J))
 
 
-def _sandwich(J: jax.Array, x: jax.Array) -> jax.Array:
-    return matmat(J.T, x)
-
-
-def _turned(M: jax.Array, y: jax.Array) -> jax.Array:
+def _momentum_matrix(M: jax.Array, y: jax.Array) -> jax.Array:
     """Return Q, with Q y = V x* (M y) for the part of V and zero for the part of q'."""
     momentum = matvec(M, y)
     h, p = _skew(momentum[:3]), _skew(momentum[3:6])

@@ -10,7 +10,10 @@ in body axes are, with a stiffness w.G_jk w of rotation,
             + sum_k q_k' w.(c1_jk - c1_kj) - w.(dJ/dq_j w) / 2 + sum_k w.G_jk w q_k
 
 g_j is c_j without the symmetric part of c1. If the layout is `second_order`, the equations are
-those of the kinetic energy with all terms of the displacements of second order.
+those of the kinetic energy with all terms of the displacements of second order. Otherwise second-
+order terms enter the mass matrix and the stiffness w.G_jk w only, as in standard input data. Then
+the equations of a body with geometric stiffening are not those of a kinetic energy: energy is not
+conserved exactly, and `rb.coriolis_matrix` does not contain w.G_jk w.
 
 Frame P has, with the rotation vector phi = V q and the right Jacobian J_r of SO(3):
 

@@ -66,8 +66,9 @@ def cell_moments(degree: int, a: float, b: float) -> np.ndarray:
         B_0 = h int P du,   a_1 = B_0 - a_3 / 12,   a_2 = 12 h int u P du,
         a_3 = 180 h int (u^2 - 1/12) P du
 
-    For P = k + u k' + u^2 k''/2 these are a_1 = h k, a_2 = h k', a_3 = h k'', so that the Magnus
-    expansion in a_1, a_2, a_3 has order 6 (Blanes, Casas, Oteo & Ros, 2009, section 5.5).
+    For P = k + u k' + u^2 k''/2, with derivatives by u at the midpoint, these are a_1 = h k,
+    a_2 = h k', a_3 = h k''/2, so that the Magnus expansion in a_1, a_2, a_3 has order 6 (Blanes,
+    Casas, Oteo & Ros, 2009, section 5.5).
     """
     nodes, w = gauss_points(degree // 2 + 3)  # exact to degree + 3
     h, u = b - a, nodes - 0.5

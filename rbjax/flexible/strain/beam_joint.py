@@ -352,10 +352,11 @@ def _is_integer(x: object) -> bool:
 
 
 def largest_cell_angle(beam: StrainBeam, q: Sequence[Lane], params: Sequence[Lane]) -> Lane:
-    """Compute the largest angle by which a cell of a beam turns, rad.
+    """Compute the largest angle |O| by which a cell of a beam turns, rad.
 
-    A cell lies between neighbouring nodes. From an angle of pi the expansion of a spatial rotation
-    need not converge, and the result is wrong: use more points, or several beams in series.
+    A cell lies between neighbouring nodes. The expansion of a spatial rotation converges if the
+    integral of |k| over the cell is below pi. |O| is close to this integral if k changes little in
+    the cell. Beyond pi the result is wrong: use more points, or several beams in series.
     Quadrature needs an angle well below pi also for a planar beam.
 
     Args:

@@ -1,7 +1,7 @@
 """Positions, columns and accelerations at the frames of a beam, on lanes.
 
     r_g = sum_h A_gh t_h,                              t_h = L R_h Gamma_h
-    dr_g/dq_j = sum_h A_gh (W_hj x t_h + L R_h B_hj)
+    dr_g/dq_j = sum_h A_gh (L W_hj x t_h + L R_h B_hj)
     r_g' = sum_h A_gh (w_h x t_h + u_h),               u_h = L R_h Gamma_h'
     r_g'' = sum_h A_gh (alpha_h x t_h + w_h x (w_h x t_h + 2 u_h))        at q'' = 0
 
@@ -74,7 +74,7 @@ def position(weights: Sequence[float], s: Stretched) -> Vec3:
 def turning_columns(
     rows: Rows, s: Stretched, sections: Sequence[Orientation], length: Lane
 ) -> list[list[Motion]]:
-    """Compute [W_j; dr/dq_j] of each frame and coordinate of curvature, in the frame's axes.
+    """Compute [L W_j; dr/dq_j] of each frame and coordinate of curvature, in the frame's axes.
 
     Args:
         rows: rows A of weights of the frames.

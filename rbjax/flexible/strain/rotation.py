@@ -4,7 +4,7 @@
     C = -a_1 x a_2,   D = C - 20 a_1 - a_3,   E = a_2 + a_1 x (2 a_3 + C) / 60
 
 B_0, a_1, a_2, a_3 are moments of the curvature k over the cell (`basis.cell_moments`). If k has a
-constant direction, O = B_0 is exact. The expansion converges if the cell turns by less than pi
+constant direction, O = B_0 is exact. The expansion converges if int |k| ds < pi over the cell
 (Blanes, Casas, Oteo & Ros, *The Magnus expansion and some of its applications*, 2009). Here
 R' = R [k] has k on the right, so that the commutator of k and l is -k x l.
 

@@ -30,7 +30,8 @@ def stiffness_matrix(beam: StrainBeam, C: Rows | Sequence[Rows], length: Lane) -
     Args:
         beam: the kind of joint.
         C: stiffness of the section: six lanes (the diagonal), or (6, 6) lanes; or a list of these,
-            one for each Gauss point. Stiffness of curvature in N m^2, of Gamma in N.
+            one for each Gauss point. Stiffness of curvature in N m^2, of Gamma in N. Of a tapered
+            beam with six Gauss points, (6, 6) are six diagonals.
         length: the length of the beam, m.
 
     Returns:
@@ -80,10 +81,10 @@ def _stations(beam: StrainBeam, C: Rows | Sequence[Rows]) -> list[list[list[Lane
     shape = _shape(C)
     if shape == (n,):
         return [_diagonal(C)]
+    if shape == (points, n) and (beam.shape.tapered or points != n):
+        return [_diagonal(at) for at in C]
     if shape == (n, n):
         return [[list(row) for row in C]]
-    if shape == (points, n) and points != n:
-        return [_diagonal(at) for at in C]
     if shape == (points, n, n):
         return [[list(row) for row in at] for at in C]
     raise InputError(

@@ -1,6 +1,6 @@
 """Rotations of the sections of a beam, from node to node, on lanes.
 
-    R_{g+1} = R_g exp([O]),    W_{g+1,j} = W_g,j + R_g J dO/dq_j,    w = sum_j W_j q_j'
+    R_{g+1} = R_g exp([O]),    W_{g+1,j} = W_g,j + R_g J dO/d(L q_j),    w = L sum_j W_j q_j'
 
 O is the rotation vector of the cell between two nodes (`rotation`). All vectors are in base axes.
 The coefficients of the curvature are multiplied by the length, so that lengths are in units of it.
@@ -30,7 +30,7 @@ class Orientation(NamedTuple):
 
     Fields:
         R: rotation from the axes of the section to those of the base.
-        turn: W_j of each coordinate of curvature, in base axes.
+        turn: W_j = dw/d(L q_j') of each coordinate of curvature, in base axes.
         w: angular velocity, in base axes.
         alpha: angular acceleration at q'' = 0, in base axes.
     """

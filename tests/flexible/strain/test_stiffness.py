@@ -58,3 +58,16 @@ def test_energy():
 def test_wrong_shape():
     with pytest.raises(InputError, match="expected \\(6,\\), \\(6, 6\\)"):
         stiffness_matrix(BEAM, [1.0] * 5, 1.0)
+
+
+def test_six_diagonals_of_a_tapered_beam_are_no_matrix() -> None:
+    """Six Gauss points, the default of degree 2: (6, 6) could be one constant matrix."""
+    beam = strain_beam({"k_y": 2, "k_z": 2}, tapered=True)
+    assert beam.shape.points == 6
+    C = np.arange(1.0, 37.0).reshape(6, 6)
+    each = [np.diag(row) for row in C]
+    np.testing.assert_allclose(
+        np.array(stiffness_matrix(beam, C.tolist(), 2.0), float),
+        np.array(stiffness_matrix(beam, [x.tolist() for x in each], 2.0), float),
+        rtol=1e-14,
+    )
