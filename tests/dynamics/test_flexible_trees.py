@@ -349,3 +349,62 @@ def test_lagrange() -> None:
     ours = found("hinge 1")
     quadratic = np.einsum("ijk,k,j->i", M_by, v, v) - np.einsum("ijk,i,j->k", M_by, v, v) / 2
     close(ours["b"], quadratic + ours["g"])
+
+
+def forward(model, q, v, tau):
+    return rb.forward_dynamics(model, q, v, tau)
+
+
+def implicit(model, q, v, tau):
+    return jnp.linalg.solve(rb.mass_matrix(model, q), tau - rb.bias_forces(model, q, v))
+
+
+@pytest.mark.slow
+def test_derivatives() -> None:
+    """Forward and reverse mode by q, v, tau and the parameters, against the dense equations."""
+    model, q, v, tau, _ = moving("alone")
+    key = jax.random.key(6)
+
+    def by_params(f):
+        def g(params, q, v, tau):
+            return f(model.replace(joints=model.joints.replace(params=params)), q, v, tau)
+
+        return g
+
+    at = (model.joints.params, q, v, tau)
+    along = tuple(jax.random.normal(jax.random.fold_in(key, i), x.shape) for i, x in enumerate(at))
+    weights = jax.random.normal(key, v.shape)
+    values = []
+    for f in map(by_params, (forward, implicit)):
+        a, slope = compiled(lambda *x, f=f: jax.jvp(f, x, along))(*at)
+        back = compiled(lambda *x, f=f: jax.vjp(f, *x)[1](weights))(*at)
+        values.append((a, slope, *back))
+        inner_products = [np.vdot(x, y) for x, y in zip(back, along, strict=True)]
+        np.testing.assert_allclose(sum(inner_products), weights @ slope, rtol=1e-9)
+    for x, y in zip(*values, strict=True):
+        close(x, y, 1e-9)
+    M, accelerations = rb.mass_matrix(model, q), rb.forward_dynamics_derivatives(model, q, v, tau)
+    close(accelerations.tau @ M, np.eye(model.nv), 1e-11)
+    by_q = compiled(jax.jacfwd(lambda q: implicit(model, q, v, tau)))(q)
+    close(accelerations.q, by_q, 1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["alone", "one"])
+def test_batches_and_precision(name: str) -> None:
+    """Batches of none, one and three with vmap, in jit and outside, and f32 against f64."""
+    model, q, v, tau, _ = moving(name)
+    one = rb.forward_dynamics(model, q, v, tau)
+    for n in (0, 1, 3):
+        many = [jnp.tile(x, (n, 1)) for x in (q, v, tau)]
+        mapped = jax.vmap(functools.partial(rb.forward_dynamics, model))(*many)
+        again = compiled(jax.vmap(functools.partial(rb.forward_dynamics, model)))(*many)
+        assert mapped.shape == again.shape == (n, model.nv)
+        if n:
+            close(mapped, np.tile(one, (n, 1)), 1e-11)
+            close(again, np.tile(one, (n, 1)), 1e-11)
+    single = [x.astype(np.float32) for x in (q, v, tau)]
+    M, accelerations = rb.mass_matrix(model, single[0]), rb.forward_dynamics(model, *single)
+    assert M.dtype == accelerations.dtype == np.float32
+    close(M, rb.mass_matrix(model, q), 1e-6)
+    close(accelerations, one, 1e-4)
