@@ -1,5 +1,12 @@
 """Beams in pictures: tubes along their lines, on the bodies that carry them."""
 
+import json
+import shutil
+import subprocess
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
 import matplotlib.figure
 import numpy as np
 import pytest
@@ -110,3 +117,27 @@ def test_what_mujoco_adds_to_its_scene(arm):
     assert ends.shape == (2, 48, 2, 3) and color.shape == (48, 4)
     np.testing.assert_allclose(radius, RADIUS, rtol=1e-12)
     np.testing.assert_allclose(ends[:, -1, 1], shown.p[0, :, arm.body("rod")], atol=1e-9)
+
+
+def test_a_page_and_mujoco_show_a_beam(arm, tmp_path):
+    """The browser's script fills every segment and its shadow; MuJoCo's picture has the beam."""
+    state = arm.default_state()
+    run = rb.rollout(arm, state, None, 0.01, steps=10, integrator="discrete")
+    page = rb.plotting.animate(arm, run, tmp_path / "a.html")
+    node = shutil.which("node")
+    if node is not None:
+        program = Path(__file__).with_name("page_on_a_false_canvas.js")
+        said = subprocess.run([node, program, page, "0.05"], capture_output=True, check=True)
+        found = json.loads(said.stdout)
+        assert found["filled"] == 1 + 2 * len(rb.plotting.skeleton(arm)) and found["finite"]
+    pictures = []
+    for scale in (1.0, 1e-6):
+        shapes = [*rb.plotting.solids(ARM), *tubes(arm)]
+        shapes = [s if s.end is None else replace(s, points=s.points * scale) for s in shapes]
+        shown = film(arm, np.zeros(1), np.asarray(state.q)[None, None], shapes)
+        with warnings.catch_warnings(action="ignore"):
+            rendered = offscreen.render(ARM, False, np.asarray(state.q)[None], shown, (80, 60))
+        if rendered is None:
+            pytest.skip("no OpenGL here without a display")
+        pictures.append(next(iter(rendered)).astype(int))
+    assert (np.abs(pictures[0] - pictures[1]).max(-1) > 20).sum() > 20  # pixels of the beam
