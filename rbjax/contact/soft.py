@@ -111,7 +111,8 @@ def _rows_of_links(problem: Problem, like: jax.Array) -> jax.Array:
 
         found = slots.fold(count, found)
     for k, link in enumerate(touching):
-        counts[link] = counts[link] + found[k]
+        if link < len(counts):  # frames of flexible links have no dof
+            counts[link] = counts[link] + found[k]
     return pack(counts, like)
 
 

@@ -2,6 +2,7 @@
 
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -131,3 +132,55 @@ def test_laws_of_contact_hold_a_tip(law: str) -> None:
     z = float(rb.frame_pose(model, path.q[-1], "tip")[1][2])
     assert -GAP - 1e-3 < z < -GAP + 1e-6
     assert np.abs(path.v[-1]).max() < 1e-6
+
+
+PAIR = """
+<mujoco><option gravity="0 0 -9.81" cone="elliptic" timestep="0.002"/><worldbody>
+  <geom name="floor" type="plane" size="0 0 1" pos="0 0 -0.0499"/>
+  <body name="a"><joint name="one"/><geom type="sphere" size="0.05" mass="0.2"/></body>
+  <body name="b" pos="0 0.0999 0"><joint name="two"/>
+    <geom type="sphere" size="0.05" mass="0.2"/></body>
+  </worldbody></mujoco>"""
+
+
+@functools.cache
+def two_beams() -> rb.Model:
+    """Two parallel beams whose balls touch each other and a floor."""
+    rod = round_beam({"k_y": 1, "k_z": 0}, E=1e9, damping=0.02)
+    model = rb.load(PAIR, contacts=True)
+    return rod.replace_joint(rod.replace_joint(model, "one"), "two")
+
+
+def test_derivatives_with_contacts_between_two_beams() -> None:
+    """Values by sweeps and conjugate gradients, derivatives by the matrix: central differences."""
+    model = two_beams()
+    q = model.default_state().q
+    rng = np.random.default_rng(4)
+    v, dv = (jnp.asarray(0.1 * rng.normal(size=model.nv)) for _ in range(2))
+
+    @jax.jit
+    def both(v, dv):
+        f = lambda v: rb.acceleration(model, rb.State(q, v), contact="mujoco")  # noqa: E731
+        h = 1e-6
+        slope = (f(v + h * dv) - f(v - h * dv)) / (2 * h)
+        return f(v), jax.jvp(f, (v,), (dv,))[1], slope
+
+    a, exact, slope = both(v, dv)
+    free = rb.acceleration(model.replace(contact=None), rb.State(q, v))
+    assert np.abs(a - free).max() > 1.0  # the contacts act
+    np.testing.assert_allclose(exact, slope, atol=1e-6 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "discrete"])
+def test_two_beams_come_to_rest(integrator: str) -> None:
+    """Both balls are on the floor, and mirror images of each other. `discrete` uses the matrix."""
+    model = two_beams()
+    path = rb.rollout(
+        model, model.default_state(), None, 2e-3, steps=500, contact="mujoco",
+        integrator=integrator, save_every=500,
+    )  # fmt: skip
+    q = np.asarray(path.q[-1])
+    np.testing.assert_allclose(q[:2], q[3:5], atol=1e-9)
+    np.testing.assert_allclose(q[2], -q[5], atol=1e-9)
+    assert np.abs(path.v[-1]).max() < 1e-6
+    assert q[2] < -1e-5  # the contact bends the beams apart
