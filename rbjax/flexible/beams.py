@@ -84,6 +84,7 @@ class Beam(Record):
 
         The beam starts at its base frame, along x, and the body `name` is its tip. Add bodies,
         sites, constraints and forces to the tip and to the bodies of `frames` by their names.
+        Contacts and forces of a fluid act on bodies with geoms, not on the surface of the beam.
 
         Args:
             model: the model.

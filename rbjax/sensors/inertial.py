@@ -23,7 +23,7 @@ from rbjax.sensors.fixed import FrameSensor, named_frame, reading
 from rbjax.sensors.frames import gravity
 from rbjax.sensors.protocol import register
 from rbjax.sensors.solution import solution_of
-from rbjax.spatial import Force
+from rbjax.spatial import Force, Motion
 
 
 @register("gyro", placed=True)
@@ -94,7 +94,8 @@ class ForceSensor(WrenchSensor):
     """Measure the force (3,) that the parent exerts on the body of a frame, in axes of the frame.
 
     It is the rate of momentum of the body and of all bodies that it carries, less their weight and
-    the forces of contacts, connects, welds and spatial tendons and the given wrenches on them.
+    the forces of contacts, connects, welds and spatial tendons and the given wrenches on them. At
+    the tip of a beam it is the force of the tip's section, without the inertia of the beam.
     """
 
     of = "N"
@@ -117,7 +118,10 @@ class TorqueSensor(WrenchSensor):
 def transmitted_wrench(context: Context, body: int) -> Force:
     """Return the wrench of the parent on a body, in world axes at the origin of the body."""
     found: dict[int, Force] = context.once(transmitted_wrench, dict)
-    parents = context.model.topology.body_parents
+    top = context.model.topology
+    # a body at a frame of a flexible link loads the parent of the link, not the body at its tip
+    bases = {k: top.body_parents[top.joint_bodies[j]] for k, j, _ in top.frame_bodies}
+    parents = [bases.get(k, parent) for k, parent in enumerate(top.body_parents)]
 
     def children(b: int) -> list[int]:
         return [k for k, parent in enumerate(parents) if parent == b]
@@ -134,6 +138,8 @@ def transmitted_wrench(context: Context, body: int) -> Force:
         for k in children(b):
             arm, own = context.body(k).position - origin, found[k]
             total = total + Force(own.ang + arm.cross(own.lin), own.lin)
+            if top.frames:
+                total = total + _rate_of_flexible_link(context, k, origin)
         external = solution_of(context).body_wrenches.get(b)
         found[b] = total if external is None else total - external
     return found[body]
@@ -151,3 +157,26 @@ def _rate_of_momentum(context: Context, body: int) -> Force:
     torque = moving.rotation @ (inertia @ a.ang + w.cross(inertia @ w))
     arm = moving.position - context.body(body).position
     return Force(torque + arm.cross(force), force)
+
+
+def _rate_of_flexible_link(context: Context, body: int, origin: Vec3) -> Force:
+    """Return the rate of momentum less the weight of the flexible links that move a body, without
+    the body, in world axes at a point `origin`."""
+    solution, total = solution_of(context), Force.zero()
+    links, rates = solution.accelerated.links, solution.acceleration
+    for i, link in enumerate(context.model.topology.links):
+        if link.body != body:
+            continue
+        joint, pose, w = links.to_parent(i)[1], links.pose(i), links.twist(i).ang
+        a = links.acceleration(i)
+        a = Motion(a.ang, a.lin - pose.R.T @ gravity(context))
+        if joint.frame_axes is not None:
+            own, _ = joint.own_momentum(Motion.zero())
+            f = own(a) + own.bias_force(w)
+        elif (modal := joint.link_inertia(w)) is not None:
+            f, _ = modal.inertial_forces(w, a, [rates[n] for n in link.v])
+        else:
+            continue
+        force, arm = pose.R @ f.lin, pose.p - origin
+        total = total + Force(pose.R @ f.ang + arm.cross(force), force)
+    return total

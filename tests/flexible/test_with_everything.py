@@ -170,3 +170,24 @@ def test_linearised_frequencies_of_a_cantilever() -> None:
     # the error of a curvature of degree 4 (5 coefficients)
     np.testing.assert_allclose(found[0], want[0], rtol=1e-7)
     np.testing.assert_allclose(found[1], want[1], rtol=1e-4)
+
+
+def test_the_wrench_on_a_body_that_carries_a_beam() -> None:
+    """The rate of momentum of the whole robot less its weight, about the hinge of the arm."""
+    model, (q, v) = arm(), (STATE.q, STATE.v)
+    a = rb.acceleration(model, STATE)
+
+    @jax.jit
+    def rates(q, v, a):
+        h = lambda q, v: rb.centroidal_momentum(model, q, v)  # noqa: E731
+        return jax.jvp(h, (q, v), (v, a))[1]
+
+    rate, (R, p) = rates(q, v, a), rb.frame_pose(model, q, site="start")
+    force = rate[3:] - (0.5 + MASS + 1000 * np.pi * 0.01**2) * G
+    torque = rate[:3] + jnp.cross(rb.center_of_mass(model, q) - p, force)
+    np.testing.assert_allclose(
+        reading(sensors.ForceSensor("start")), R.T @ force, atol=F64_TRANSFORM
+    )
+    np.testing.assert_allclose(
+        reading(sensors.TorqueSensor("start")), R.T @ torque, atol=F64_TRANSFORM
+    )
