@@ -1,6 +1,7 @@
 """Flexible links: beams and elastic bodies as links of a robot.
 
 beams         `Beam`, which `Model.with_beam` adds to a robot
+distributed_load forces and moments along a beam
 elasticity    elastic and viscous forces of a beam
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
@@ -11,11 +12,13 @@ reference/    beams of the literature: lumped chains, nodal elements
 from rbjax.flexible import modal
 from rbjax.flexible.beams import Beam, beam
 from rbjax.flexible.cross_section import Section, circle, ellipse, rectangle, section, tube
+from rbjax.flexible.distributed_load import BeamLoad
 from rbjax.flexible.elasticity import BeamElasticity
 
 __all__ = [
     "Beam",
     "BeamElasticity",
+    "BeamLoad",
     "Section",
     "beam",
     "circle",

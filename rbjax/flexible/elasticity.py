@@ -55,17 +55,7 @@ class BeamElasticity(Element):
 
     def _matrices(self, context: Context) -> tuple[StrainBeam, list[list[Lane]], list[list[Lane]]]:
         """Return the kind of joint, K and D."""
-        model = context.model
-        j = model.joint(self.joint)
-        kind = model.topology.joints[j]
-        if not isinstance(kind, StrainBeam):
-            raise InputError(
-                f"BeamElasticity: the joint {self.joint!r} is of the kind {kind.name!r}, expected "
-                "a beam (Model.with_beam)"
-            )
-        at = sum(len(joint.defaults) for joint in model.topology.joints[:j])
-        params = numbers(model.joints.params[at : at + len(kind.defaults)], context.q.dtype)
-        (length,) = kind.named(params)["length"]
+        kind, length = beam_of(context.model, self.joint, context.q.dtype, "BeamElasticity")
 
         def made(C: jax.Array) -> list[list[Lane]]:
             return stiffness_matrix(kind, _nested(C, context.q.dtype), length)
@@ -92,6 +82,23 @@ class BeamElasticity(Element):
     def energy(self, context: Context) -> Lane:
         _, K, _ = self._matrices(context)
         return elastic_energy(K, list(context.q[context.model.q_slice(self.joint)]))
+
+
+def beam_of(
+    model: Model, joint: str, dtype: jax.typing.DTypeLike, where: str
+) -> tuple[StrainBeam, Lane]:
+    """Return the kind of joint of a beam and its length. `where` is the caller in messages."""
+    j = model.joint(joint)
+    kind = model.topology.joints[j]
+    if not isinstance(kind, StrainBeam):
+        raise InputError(
+            f"{where}: the joint {joint!r} is of the kind {kind.name!r}, expected a beam "
+            "(Model.with_beam)"
+        )
+    at = sum(len(one.defaults) for one in model.topology.joints[:j])
+    params = numbers(model.joints.params[at : at + len(kind.defaults)], dtype)
+    (length,) = kind.named(params)["length"]
+    return kind, length
 
 
 def _nested(C: jax.Array, dtype: jax.typing.DTypeLike) -> Sequence:
