@@ -125,8 +125,8 @@ class Assembly:
 
     @cached_property
     def _articulated(self) -> bool:
-        """Whether articulated-body sweeps solve the problem: all links are rigid, other rows are on
-        single dofs, and contacts are with the world or, for values, inside one tree.
+        """Whether articulated-body sweeps solve the problem: other rows are on single dofs, and
+        contacts are with the world or, for values, inside one tree.
 
         A contact inside a tree, as of a hand with a thigh, is rare and costs iterations of
         conjugate gradients. A contact of two trees, as of a hand with an object, lasts, so a
@@ -135,9 +135,7 @@ class Assembly:
         roots = [path[0] for path in self.top.ancestors]
         apart = [pair for pair in self.touching.link_pairs if WORLD not in pair]
         inside = all(roots[a] == roots[b] for a, b in apart) if self.values else not apart
-        rigid = not self.top.frames
-        free = self.added is None and not self._rows_of_several_dofs
-        return free and rigid and inside
+        return self.added is None and not self._rows_of_several_dofs and inside
 
     @property
     def _rows_of_several_dofs(self) -> bool:
