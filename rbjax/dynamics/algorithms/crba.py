@@ -24,50 +24,14 @@ from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.pairs import packed, pair_matrix, with_armature
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier
-from rbjax.model import WORLD, Model
-from rbjax.spatial import Force, RigidInertia
-
-
-def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
-    """Run one inward step. Return the pose of a link in its parent, I_c and F = I_c S."""
-    link, joint = x
-    I_c = joint.inertia(link) + children
-    return joint.transform(link), I_c, I_c(joint.S)
+from rbjax.model import Model
+from rbjax.spatial import RigidInertia
 
 
 def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
-    """Compute the mass matrix M as rows of lanes. Each force F = I_c S is propagated to the root by
-    itself."""
+    """Compute the mass matrix M as rows of lanes.
 
-    if d.topology.frames:
-        return flexible_mass_matrix_rows(d, joints)
-
-    def step(x, children):
-        X, I_c, F = composite(x, children)
-        return X.rigid_to_parent(I_c), (X, F)
-
-    ys = d.whole(d.inward(step, RigidInertia.zero(), d.zip(d.constants, joints)))
-    motions = d.whole(joints)
-    axes = [joint.S for joint in motions]
-    armatures = [link.armature for link in d.whole(d.constants)]
-    n = len(axes)
-    M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
-    for i, (X, F) in enumerate(ys):
-        M[i][i] = add(axes[i].dot(F), armatures[i])
-        j = i
-        while d.topology.parents[j] != WORLD:
-            F = fusion_barrier(X.T(F))
-            j = d.topology.parents[j]
-            X = ys[j][0]
-            M[i][j] = M[j][i] = axes[j].dot(F)
-    return M
-
-
-def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
-    """Compute `mass_matrix_rows` of a tree with flexible links.
-
-    Each link starts the columns of its axes, which end at their dofs. A column has the momentum F
-    of the subtree for a unit rate of its dof, and moves on to the root as such.
+    The momentum F of the subtree of a dof for its unit rate is propagated to the root by itself.
     """
 
     def step(x, children):
@@ -87,13 +51,13 @@ def flexible_mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
         return (X.rigid_to_parent(I_c), tuple(rest)), (X, Column(F, row))
 
     ys = d.whole(d.inward(step, (RigidInertia.zero(), ()), d.zip(d.constants, joints)))
-    motions, top = d.whole(joints), d.topology
+    motions, links, top = d.whole(joints), d.whole(d.constants), d.topology
     M: list[list[Lane]] = [[0.0] * top.nv for _ in range(top.nv)]
     for i, (X, (F, row)) in enumerate(ys[: top.nv]):
         first = i + 1 - len(row)
         for j, m in enumerate(row, first):
             M[i][j] = M[j][i] = m
-        M[i][i] = add(M[i][i], d.whole(d.constants)[i].armature)
+        M[i][i] = add(M[i][i], links[i].armature)
         for j in reversed(top.ancestors[i][:-1]):
             F = fusion_barrier(X.T(F))
             X = ys[j][0]
