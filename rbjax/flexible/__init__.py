@@ -3,6 +3,7 @@
 beams         `Beam`, which `Model.with_beam` adds to a robot
 distributed_load forces and moments along a beam
 elasticity    elastic and viscous forces of a beam
+linear_elasticity forces -K q - D q' of any flexible link; a base that moves freely
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
 modal/        elastic bodies of any shape, by modes in a floating frame

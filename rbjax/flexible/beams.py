@@ -13,8 +13,8 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.flexible.cross_section import Section, section
 from rbjax.flexible.elasticity import BeamElasticity
+from rbjax.flexible.linear_elasticity import diagonal_if_known, with_free_base
 from rbjax.flexible.strain import STRAINS, StrainBeam, strain_beam
-from rbjax.joints import kind
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.rotations.arguments import check_positive, checked
@@ -117,16 +117,7 @@ class Beam(Record):
         places = dict(frames or {})
         joint = self.joint(tuple(places.values()))
         base = {"position": position, "orientation": orientation}
-        if free:
-            if parent != "world":
-                raise InputError(
-                    f"with_beam: got parent={parent!r} and free=True; the base of a free beam is "
-                    "in the world: leave out parent, or free"
-                )
-            parent, base = f"{name}_base", {}
-            model = model.with_link(
-                parent, kind("free"), position=position, orientation=orientation
-            )
+        model, parent, base = with_free_base("with_beam", "beam", model, name, parent, base, free)
         extra = {body: joint.tip + 1 + i for i, body in enumerate(places)}
         params = self.params(joint)
         model = model.with_link(name, joint, parent, params=params, frames=extra, **base)
@@ -134,7 +125,9 @@ class Beam(Record):
 
     def elasticity(self, name: str) -> BeamElasticity:
         """Return the elastic and viscous forces of the beam, for its joint `name`."""
-        return BeamElasticity(_lean(self.section.stiffness), _lean(self.viscosity), name)
+        return BeamElasticity(
+            diagonal_if_known(self.section.stiffness), diagonal_if_known(self.viscosity), name
+        )
 
     def replace_joint(self, model: Model, name: str) -> Model:
         """Put the beam in the place of a joint of a model, such as a hinge of a file.
@@ -279,11 +272,3 @@ def _check_stiffness(C: Any, joint: StrainBeam) -> None:
                 f"{np.asarray(C)[..., k, k]}, expected a number above zero; leave the strain out "
                 "of degrees, or give it a stiffness"
             )
-
-
-def _lean(C: jax.Array) -> jax.Array:
-    """Return the diagonal of a stiffness, if it is known to be diagonal."""
-    if isinstance(C, jax.core.Tracer):
-        return C
-    off = np.asarray(C) * (1 - np.eye(6))
-    return jnp.diagonal(C, axis1=-2, axis2=-1) if not off.any() else C

@@ -9,22 +9,22 @@ stiffness then adds it to the armature, without a further factorization.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 
 from rbjax.errors import InputError
-from rbjax.flexible.strain import StrainBeam, elastic_energy, stiffness_matrix
+from rbjax.flexible.linear_elasticity import LinearElasticity, Matrix
+from rbjax.flexible.strain import StrainBeam, stiffness_matrix
 from rbjax.forces.context import Context
-from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.slopes import Slope
-from rbjax.lanes import Lane, add, inner, is_zero, neg
+from rbjax.forces.element import Shapes
+from rbjax.lanes import Lane
 from rbjax.model import Model
 from rbjax.model.leaves import numbers
 
 
-class BeamElasticity(Element):
+class BeamElasticity(LinearElasticity):
     """The elasticity and damping of a beam. `Model.with_beam` adds it.
 
     Fields:
@@ -53,35 +53,13 @@ class BeamElasticity(Element):
         shape = (None,) * self.stiffness.ndim
         return {"stiffness": shape, "viscosity": shape}
 
-    def _matrices(self, context: Context) -> tuple[StrainBeam, list[list[Lane]], list[list[Lane]]]:
-        """Return the kind of joint, K and D."""
+    def matrices(self, context: Context) -> tuple[str, Matrix, Matrix]:
         kind, length = beam_of(context.model, self.joint, context.q.dtype, "BeamElasticity")
 
-        def made(C: jax.Array) -> list[list[Lane]]:
+        def made(C: jax.Array) -> Matrix:
             return stiffness_matrix(kind, _nested(C, context.q.dtype), length)
 
-        return kind, made(self.stiffness), made(self.viscosity)
-
-    def loads(self, context: Context) -> Loads:
-        model = context.model
-        _, K, D = self._matrices(context)
-        at_q, at_v = model.q_slice(self.joint), model.v_slice(self.joint)
-        q, v = list(context.q[at_q]), list(context.v[at_v])
-        rows = enumerate(zip(K, D, strict=True), at_v.start)
-        return Loads({i: neg(add(inner(k, q), inner(d, v))) for i, (k, d) in rows})
-
-    def slopes(self, context: Context) -> Iterable[Slope]:
-        _, K, D = self._matrices(context)
-        start = context.model.v_slice(self.joint).start
-        for i, (k, d) in enumerate(zip(K, D, strict=True)):
-            for j, (stiffness, damping) in enumerate(zip(k, d, strict=True)):
-                if not (is_zero(stiffness) and is_zero(damping)):
-                    along = None if i == j else {start + j: 1.0}
-                    yield Slope({start + i: 1.0}, stiffness, damping, along)
-
-    def energy(self, context: Context) -> Lane:
-        _, K, _ = self._matrices(context)
-        return elastic_energy(K, list(context.q[context.model.q_slice(self.joint)]))
+        return self.joint, made(self.stiffness), made(self.viscosity)
 
 
 def beam_of(

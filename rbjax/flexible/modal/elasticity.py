@@ -7,29 +7,28 @@ Geometric stiffening is part of the link's inertia and of its frames (`rbjax.fle
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.flexible.linear_elasticity import (
+    LinearElasticity,
+    Matrix,
+    diagonal_if_known,
+    with_free_base,
+)
 from rbjax.flexible.modal.body import ModalBody
 from rbjax.flexible.modal.link import ModalLayout, ModalLink
 from rbjax.forces.context import Context
-from rbjax.forces.element import Element, Loads, Shapes
-from rbjax.forces.slopes import Slope
-from rbjax.joints import kind
-from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
+from rbjax.forces.element import Shapes
 from rbjax.model import Model
 from rbjax.model.leaves import numbers
 
-_Matrix = list[list[Lane]]
 
-
-class ModalElasticity(Element):
+class ModalElasticity(LinearElasticity):
     """The elasticity and damping of a modal body. `add_modal_body` adds it.
 
     Fields:
@@ -50,28 +49,9 @@ class ModalElasticity(Element):
         m = model.topology.joints[model.joint(self.joint)].nv
         return {"stiffness": (m,) * self.stiffness.ndim, "damping": (m,) * self.damping.ndim}
 
-    def _terms(self, context: Context) -> tuple[list[Lane], list[Lane], int, _Matrix, _Matrix]:
-        model = context.model
-        at_q, at_v = model.q_slice(self.joint), model.v_slice(self.joint)
+    def matrices(self, context: Context) -> tuple[str, Matrix, Matrix]:
         K, D = (_rows(x, context.q.dtype) for x in (self.stiffness, self.damping))
-        return list(context.q[at_q]), list(context.v[at_v]), at_v.start, K, D
-
-    def loads(self, context: Context) -> Loads:
-        q, v, start, K, D = self._terms(context)
-        rows = enumerate(zip(K, D, strict=True), start)
-        return Loads({i: neg(add(inner(k, q), inner(d, v))) for i, (k, d) in rows})
-
-    def slopes(self, context: Context) -> Iterable[Slope]:
-        _, _, start, K, D = self._terms(context)
-        for i, (k, d) in enumerate(zip(K, D, strict=True)):
-            for j, (stiffness, damping) in enumerate(zip(k, d, strict=True)):
-                if not (is_zero(stiffness) and is_zero(damping)):
-                    along = None if i == j else {start + j: 1.0}
-                    yield Slope({start + i: 1.0}, stiffness, damping, along)
-
-    def energy(self, context: Context) -> Lane:
-        q, _, _, K, _ = self._terms(context)
-        return mul(0.5, inner([inner(k, q) for k in K], q))
+        return self.joint, K, D
 
 
 def add_modal_body(
@@ -142,14 +122,7 @@ def add_modal_body(
     moved = body.with_frames([body.frame_names[k] for k in order])
     link = ModalLink.of(moved, 1e-12) if layout is None else ModalLink(layout)
     base = {"position": position, "orientation": orientation}
-    if free:
-        if parent != "world":
-            raise InputError(
-                f"add_modal_body: got parent={parent!r} and free=True; a free body is in the "
-                "world: leave out parent, or free"
-            )
-        parent, base = f"{name}_base", {}
-        model = model.with_link(parent, kind("free"), position=position, orientation=orientation)
+    model, parent, base = with_free_base("add_modal_body", "body", model, name, parent, base, free)
     model = model.with_link(
         name,
         link,
@@ -158,18 +131,12 @@ def add_modal_body(
         frames={given: order.index(k) for given, k in further.items()},
         **base,
     )
-    return model.with_forces(ModalElasticity(_lean(body.stiffness), _lean(body.damping), name))
+    return model.with_forces(
+        ModalElasticity(diagonal_if_known(body.stiffness), diagonal_if_known(body.damping), name)
+    )
 
 
-def _lean(x: Any) -> Any:
-    """Return the diagonal of a matrix, if it is known to be diagonal."""
-    if isinstance(x, jax.core.Tracer):
-        return x
-    diagonal = not np.any(np.asarray(x) * (1 - np.eye(len(x))))
-    return jnp.asarray(np.diagonal(x) if diagonal else x)
-
-
-def _rows(x: jax.Array, dtype: Any) -> _Matrix:
+def _rows(x: jax.Array, dtype: Any) -> Matrix:
     values = numbers(x.reshape(-1), dtype)
     m = x.shape[0]
     if x.ndim == 1:
