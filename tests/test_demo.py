@@ -15,7 +15,7 @@ from rbjax.demo.landing import landing
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section
-from rbjax.demo.run import BESIDE, PARTS, _in_order
+from rbjax.demo.run import CONCURRENT, PARTS, _in_order
 from rbjax.demo.validate import validate
 from rbjax.errors import RbjaxError
 
@@ -90,14 +90,14 @@ def test_notebooks_run_beside_the_parts_that_measure_no_time() -> None:
 
     def run(name: str) -> Section:
         if name == "motion" or name == "integrators":
-            assert not active & set(BESIDE)
+            assert not active & set(CONCURRENT)
         active.add(name)
         if name in ("validate", "forces"):
             together.wait()
         active.remove(name)
         return Section(name, ("text",))
 
-    order = ["motion", "validate", "identify", "integrators", *BESIDE]
+    order = ["motion", "validate", "identify", "integrators", *CONCURRENT]
     assert [section.title for section in _in_order(order, run)] == order
     assert [section.title for section in _in_order(["joints"], run)] == ["joints"]
 

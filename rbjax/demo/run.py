@@ -42,7 +42,7 @@ if FOLDER.is_dir():
     }
 
 #: parts that measure no computing time, and notebooks that run at the same time in a process
-UNTIMED, BESIDE = ("validate", "identify"), ("forces", "joints")
+UNTIMED, CONCURRENT = ("validate", "identify"), ("forces", "joints")
 #: the parts that run by default, in two minutes on two cores
 SHORT = ("motion", "landing", "validate", "identify", "integrators", "forces", "joints")
 
@@ -105,17 +105,17 @@ def demo(
 
 
 def _in_order(names: list[str], run: Callable[[str], Section]) -> list[Section]:
-    """Run parts and return their sections in the given order. The notebooks of `BESIDE` run during
-    the parts of `UNTIMED`, so that no measured time is disturbed."""
-    beside = [n for n in names if n in BESIDE] if any(n in names for n in UNTIMED) else []
+    """Run parts and return their sections in the given order. The notebooks of `CONCURRENT` run
+    during the parts of `UNTIMED`, so that no measured time is disturbed."""
+    concurrent = [n for n in names if n in CONCURRENT] if any(n in names for n in UNTIMED) else []
     found: dict[str, Section] = {}
     running: dict[str, Future[Section]] = {}
     with ThreadPoolExecutor(1) as pool:
         for name in names:
-            if name in beside:
+            if name in concurrent:
                 continue
             if name in UNTIMED and not running:
-                running = {n: pool.submit(run, n) for n in beside}
+                running = {n: pool.submit(run, n) for n in concurrent}
             elif name not in UNTIMED:
                 wait(running.values())
             found[name] = run(name)

@@ -301,7 +301,7 @@ def _material(where: str, E: Any, nu: Any, G: Any, density: Any) -> tuple[jax.Ar
     else:
         G = checked(where, "G", G, "scalar")
         nu = E / (2 * G) - 1
-        return E, G, nu, density  # a beam may have any G, such as that of a composite
+        return E, G, nu, density  # a composite may have any G
     if not isinstance(nu, jax.core.Tracer):
         ratio = np.asarray(nu)
         if not ((ratio > -1) & (ratio <= 0.5)).all():
