@@ -8,7 +8,7 @@ import numpy as np
 import rbjax as rb
 from tests.tolerances import F64_IDENTITY, relative_error
 
-CONCURRENT = """
+BESIDE = """
 <mujoco><default><geom contype="0" conaffinity="0" size="0.1" pos="0.1 0 0"/></default><worldbody>
 <body><freejoint/><geom/></body>
 <body pos="1 0 0"><joint axis="0 1 0"/><geom/>
@@ -18,7 +18,7 @@ CONCURRENT = """
 
 def test_a_free_body_beside_a_chain() -> None:
     """The chain's message to the world does not reach the unrolled links before it."""
-    model = rb.load(CONCURRENT)
+    model = rb.load(BESIDE)
     state, tau = model.random_state(jax.random.key(0)), np.ones(model.nv)
 
     @functools.partial(jax.jit, static_argnums=0)
