@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         constraints,
         contact,
         control,
+        envs,
         estimation,
         flexible,
         forces,
@@ -82,9 +83,9 @@ __version__ = "0.1.0"
 #: packages imported on first use: they import diffrax, MuJoCo and SciPy, which takes several times
 #: as long as the rest of rbjax
 _PACKAGES = (
-    "body", "constraints", "contact", "control", "estimation", "flexible", "forces", "kinematics",
-    "loading", "motion", "planning", "plotting", "recommend", "sensors", "solvers", "stability",
-    "sysid", "validation", "wheeled",
+    "body", "constraints", "contact", "control", "envs", "estimation", "flexible", "forces",
+    "kinematics", "loading", "motion", "planning", "plotting", "recommend", "sensors", "solvers",
+    "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "ModelBuilder": "loading",
@@ -159,6 +160,7 @@ __all__ = [
     "coriolis_matrix",
     "difference",
     "dynamics",
+    "envs",
     "estimation",
     "flexible",
     "forces",

@@ -43,6 +43,7 @@ FLOORS |= dict.fromkeys(
     "estimation loading",
 )
 FLOORS |= {"control": "kinematics"}
+FLOORS |= {"envs": "control wheeled flexible sysid"}  # tasks of all robots
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
 # Inside a room: a folder, and the packages that its files may not import.
@@ -62,7 +63,7 @@ STOREYS = {
 TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
-    "optax": ("sysid", "control", "demo"),
+    "optax": ("sysid", "control", "envs", "demo"),
     "jax.config": ("compiler/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
 }
 

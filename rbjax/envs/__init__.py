@@ -1,0 +1,56 @@
+"""Environments: tasks for policies, as pure functions `reset` and `step` of one sample.
+
+Files:
+    task.py: `Task` and its terms (observations, rewards, variables, events, randomisation).
+    transition.py: `Transition`, the argument of all terms.
+    actions.py: maps of actions to controls.
+    episode.py: `Params` and `EnvState`, the pytrees.
+    environment.py: `Environment`, `reset`, `step`, `unroll`.
+    control_step.py: a control step of one sample.
+    program.py: one program for a function of one sample.
+    checks.py: checks of tasks and parameters.
+    registry.py: `tasks`, `make`, `register`.
+
+Subpackages:
+    tasks: the tasks, one a file.
+"""
+
+from rbjax.envs.actions import Direct, Increment, Offset, Scaled
+from rbjax.envs.environment import Environment
+from rbjax.envs.episode import EnvState, Params
+from rbjax.envs.registry import make, register, tasks
+from rbjax.envs.task import (
+    Event,
+    Observation,
+    Randomisation,
+    Reward,
+    Task,
+    Variable,
+    offset,
+    scale,
+    sum_of_rewards,
+)
+from rbjax.envs.transition import Transition
+
+__all__ = [
+    "Direct",
+    "EnvState",
+    "Environment",
+    "Event",
+    "Increment",
+    "Observation",
+    "Offset",
+    "Params",
+    "Randomisation",
+    "Reward",
+    "Scaled",
+    "Task",
+    "Transition",
+    "Variable",
+    "make",
+    "offset",
+    "register",
+    "scale",
+    "sum_of_rewards",
+    "tasks",
+]

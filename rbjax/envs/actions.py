@@ -1,0 +1,138 @@
+"""Maps of the action of a policy to the controls of a robot.
+
+A map is any object with `size(model)`, `range(model)` and `ctrl(action, state, params)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.envs.episode import EnvState, Params
+from rbjax.model import Model
+
+
+@dataclass(frozen=True)
+class Direct:
+    """The action is the controls, clipped to their ranges.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Direct().size(rb.load("cart_pole"))
+        1
+    """
+
+    def size(self, model: Model) -> int:
+        """Return the number of entries of an action."""
+        return model.nu
+
+    def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper limits (na,) of an action."""
+        low, high = np.asarray(model.actuators.ctrlrange).T
+        return low, high
+
+    def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
+        """Compute the controls (nu,)."""
+        return _clipped(params.model, action)
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Actions of -1 to 1 are mapped to the ranges of the controls, and clipped to them.
+
+    Controls without limits are the action itself.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Scaled().range(rb.load("cart_pole"))
+        (array([-1.]), array([1.]))
+    """
+
+    def size(self, model: Model) -> int:
+        """Return the number of entries of an action."""
+        return model.nu
+
+    def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper limits (na,) of an action."""
+        return -np.ones(model.nu), np.ones(model.nu)
+
+    def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
+        """Compute the controls (nu,)."""
+        low, high = jnp.asarray(params.model.actuators.ctrlrange, action.dtype).T
+        limited = jnp.isfinite(high - low)
+        mid = jnp.where(limited, 0.5 * (low + high), 0.0)
+        half = jnp.where(limited, 0.5 * (high - low), 1.0)
+        return mid + half * jnp.clip(action, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Offset:
+    """The controls are rest + scale * action, clipped to their ranges: targets of servos near a
+    posture.
+
+    rest: (nu,) controls of a zero action, in the unit of the controls.
+    scale: factor of the action, a number or (nu,).
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Offset((0.0,), 0.5).size(rb.load("cart_pole"))
+        1
+    """
+
+    rest: Any
+    scale: Any = 1.0
+
+    def size(self, model: Model) -> int:
+        """Return the number of entries of an action."""
+        return model.nu
+
+    def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper limits (na,) of an action."""
+        return -np.ones(model.nu), np.ones(model.nu)
+
+    def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
+        """Compute the controls (nu,)."""
+        rest, scale = (jnp.asarray(x, action.dtype) for x in (self.rest, self.scale))
+        return _clipped(params.model, rest + scale * action)
+
+
+@dataclass(frozen=True)
+class Increment:
+    """The action changes the controls: ctrl = last ctrl + scale * action, clipped to their ranges.
+
+    scale: factor of the action, a number or (nu,).
+    start: (nu,) controls before the first step; None for zero.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Increment(0.04).size(rb.load("cart_pole"))
+        1
+    """
+
+    scale: Any = 1.0
+    start: Any = None
+
+    def size(self, model: Model) -> int:
+        """Return the number of entries of an action."""
+        return model.nu
+
+    def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper limits (na,) of an action."""
+        return -np.ones(model.nu), np.ones(model.nu)
+
+    def initial_ctrl(self, model: Model) -> Any:
+        """Return the controls (nu,) before the first step."""
+        return np.zeros(model.nu) if self.start is None else self.start
+
+    def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
+        """Compute the controls (nu,)."""
+        return _clipped(params.model, state.ctrl + jnp.asarray(self.scale, action.dtype) * action)
+
+
+def _clipped(model: Model, ctrl: jax.Array) -> jax.Array:
+    low, high = jnp.asarray(model.actuators.ctrlrange, ctrl.dtype).T
+    return jnp.clip(ctrl, low, high)

@@ -1,0 +1,230 @@
+"""One control step of one sample, and the begin of an episode.
+
+begin:    drawn values of the model, variables, initial state
+advance:  delayed action, controls, events, physics, variables, terminations, rewards
+observe:  observation terms, with their noise and delay
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_step
+from rbjax.envs.checks import check_number, check_start, check_vector, term_of
+from rbjax.envs.episode import EnvState, Params
+from rbjax.envs.task import Task
+from rbjax.envs.transition import Transition
+from rbjax.forces.context import Context
+from rbjax.forces.inputs import Inputs
+from rbjax.model import Model, State, with_constants
+from rbjax.motion.field import Field, dynamics_of, free_motion
+from rbjax.motion.integrators import advance_state, integrator_of
+from rbjax.motion.step import with_memory
+from rbjax.sensors.solution import Solution
+
+
+class ControlStep:
+    """The functions of one sample that `Environment` compiles."""
+
+    def __init__(self, task: Task):
+        self.task = task
+        self.dtype = jnp.zeros(()).dtype
+        model = task.model
+        self.dynamics = dynamics_of("Environment", model, free_motion, None, steps=True)
+        self.integrator = integrator_of("Environment", task.integrator, self.dynamics, model)
+        self.dt = check_step("Environment", "dt", task.dt or model.timestep, self.dtype)
+        self.action_size: int = task.action.size(model)
+        self.terms = {
+            group: [(term, term_of(task, term)) for term in terms]
+            for group, terms in task.observations.items()
+        }
+
+    @functools.cached_property
+    def delayed(self) -> dict[str, tuple[int, int]]:
+        """The delays of the action and of observations, by name."""
+        task = self.task
+        out = {} if task.action_delay == (0, 0) else {"action": task.action_delay}
+        for group, terms in task.observations.items():
+            out |= {f"{group}/{t.name}": t.delay for t in terms if t.delay != (0, 0)}
+        return out
+
+    def begin(self, key: jax.Array, params: Params) -> EnvState:
+        """Return the state of a new episode. The buffers of observations are left out."""
+        task, dtype = self.task, self.dtype
+        start, random, delay, variable = jax.random.split(key, 4)
+        drawn = {
+            r.name: jnp.asarray(r.draw(jax.random.fold_in(random, i), params), dtype)
+            for i, r in enumerate(task.randomise)
+        }
+        params = self.with_drawn(params, drawn)
+        variables = {
+            v.name: jnp.asarray(v.start(jax.random.fold_in(variable, i), params))
+            for i, v in enumerate(task.variables)
+        }
+        model = params.model
+        state = check_start(task, model, task.start(start, params))
+        state = State(state.q.astype(dtype), state.v.astype(dtype), state.x, state.memory)
+        if state.x is None and model.nx:
+            state = state.replace(x=model.start(dtype))
+        state = with_memory(model, state, self.dynamics)
+        delays = {
+            name: jax.random.randint(jax.random.fold_in(delay, i), (), low, high + 1)
+            for i, (name, (low, high)) in enumerate(self.delayed.items())
+        }
+        initial = getattr(task.action, "initial_ctrl", lambda model: np.zeros(model.nu))
+        buffers = {}
+        if "action" in self.delayed:
+            buffers["action"] = jnp.zeros((task.action_delay[1] + 1, self.action_size), dtype)
+        return EnvState(
+            state=state, rate=jnp.zeros_like(state.v), step=jnp.int32(0),
+            action=jnp.zeros(self.action_size, dtype), ctrl=jnp.asarray(initial(model), dtype),
+            variables=variables, drawn=drawn, delays=delays, buffers=buffers,
+            total=jnp.zeros((), dtype),
+        )  # fmt: skip
+
+    def advance(
+        self, key: jax.Array, state: EnvState, action: jax.Array, params: Params
+    ) -> tuple[EnvState, jax.Array, jax.Array, dict[str, Any]]:
+        """Return the state after a control step, the reward, done, and info."""
+        task = self.task
+        params = self.with_drawn(params, state.drawn)
+        event, update = jax.random.split(key)
+        for i, e in enumerate(task.events):
+            state = e.apply(jax.random.fold_in(event, i), state, params)
+        last, buffers = state, dict(state.buffers)
+        used = action
+        if "action" in self.delayed:
+            buffers["action"] = jnp.concatenate([action[None], buffers["action"][:-1]])
+            used = _row(buffers["action"], state.delays["action"])
+        ctrl = task.action.ctrl(used, state, params)
+        moved, rate = self.physics(params.model, state, ctrl)
+        step = state.step + 1
+        state = state.replace(
+            state=moved, rate=rate, step=step, action=action, ctrl=ctrl, buffers=buffers
+        )
+        to = self.transition(last, state, params)
+        variables = dict(state.variables)
+        for v in task.variables:
+            if v.measure is not None:
+                variables[v.name] = _alike(v, v.measure(to), variables)
+        to = dataclasses.replace(to, variables=variables)
+        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([moved.q, moved.v])))
+        terminated = failed
+        for name, ends in task.terminations.items():
+            terminated = terminated | check_number(f"termination {name!r}", task, ends(to))
+        to = dataclasses.replace(to, terminated=terminated)
+        rewards = {}
+        for r in task.rewards:
+            found = check_number(f"reward term {r.name!r}", task, r.read(to))
+            rewards[r.name] = jnp.where(failed, 0.0, params.weights[r.name] * found)
+        total = check_number("total", task, task.total(rewards, self.dt * task.decimation))
+        reward = jnp.where(failed, 0.0, total).astype(self.dtype)
+        truncated = (step >= task.episode) & ~terminated
+        for i, v in enumerate(task.variables):
+            if v.update is not None:
+                new = v.update(jax.random.fold_in(update, i), to)
+                variables = {**variables, v.name: _alike(v, new, variables)}
+                to = dataclasses.replace(to, variables=variables)
+        state = state.replace(variables=variables, total=state.total + reward)
+        info = {
+            "terminated": terminated, "truncated": truncated, "failed": failed,
+            "rewards": rewards, "return": state.total, "length": step,
+        }  # fmt: skip
+        return state, reward, terminated | truncated, info
+
+    def physics(self, model: Model, state: EnvState, ctrl: jax.Array) -> tuple[State, jax.Array]:
+        """Integrate a control step. Return the state, and the mean acceleration (nv,) over the last
+        physics step."""
+        field, count = Field(model, self.dynamics, self.dt), self.task.decimation
+        begin = (state.step * count).astype(self.dtype)
+
+        def one(carry: tuple, i: jax.Array) -> tuple:
+            before, _ = carry
+            t = self.dt * (begin + i)
+            after = advance_state(self.integrator, field, t, before, Inputs(ctrl), self.dt)
+            return (after, (after.v - before.v) / self.dt), None
+
+        carry = state.state, jnp.zeros_like(state.rate)
+        if count == 1:
+            return one(carry, jnp.zeros((), self.dtype))[0]
+        return jax.lax.scan(one, carry, jnp.arange(count, dtype=self.dtype))[0]
+
+    def transition(self, before: EnvState, after: EnvState, params: Params) -> Transition:
+        """Return the transition between two states of an episode."""
+        state, dt = after.state, self.dt * self.task.decimation
+        t = dt * after.step.astype(self.dtype)
+        context = Context.of(params.model, t, state, after.ctrl, self.dt)
+        solution = Solution(
+            context, Inputs(after.ctrl), self.dynamics, memory=state.memory, acceleration=after.rate
+        )
+        context = dataclasses.replace(context, solution=solution)
+        return Transition(
+            before=before.state, after=context, action=after.action, last_action=before.action,
+            ctrl=after.ctrl, last_ctrl=before.ctrl, variables=after.variables, params=params,
+            dt=dt, step=after.step,
+        )  # fmt: skip
+
+    def observe(
+        self, key: jax.Array, state: EnvState, params: Params, fresh: Any
+    ) -> tuple[Any, EnvState]:
+        """Return the observation, and the state with the buffers of delayed terms.
+
+        fresh: whether an episode begins at the state, so that delayed terms begin with their first
+            value; None: the buffers do not exist yet.
+        """
+        params = self.with_drawn(params, state.drawn)
+        to = self.transition(state, state, params)
+        out, buffers = {}, dict(state.buffers)
+        for group, terms in self.terms.items():
+            values = []
+            for term, read in terms:
+                value = check_vector(f"observation {term.name!r}", self.task, read(to), self.dtype)
+                name = f"{group}/{term.name}"
+                if name in self.delayed:
+                    first = jnp.broadcast_to(value, (self.delayed[name][1] + 1, *value.shape))
+                    if fresh is None:
+                        buffers[name] = first
+                    else:
+                        pushed = jnp.concatenate([value[None], buffers[name][:-1]])
+                        buffers[name] = jnp.where(fresh, first, pushed)
+                    value = _row(buffers[name], state.delays[name])
+                if np.any(np.asarray(term.noise)):
+                    key, one = jax.random.split(key)
+                    half = params.noise * jnp.asarray(term.noise, self.dtype)
+                    value += half * jax.random.uniform(one, value.shape, self.dtype, -1.0, 1.0)
+                values.append(value)
+            out[group] = jnp.concatenate(values)
+        return (out if len(out) > 1 else out["policy"]), state.replace(buffers=buffers)
+
+    def with_drawn(self, params: Params, drawn: dict[str, Any]) -> Params:
+        """Return the parameters with the drawn values of an episode in the model."""
+        if not drawn:
+            return params
+        model = params.model
+        for r in self.task.randomise:
+            model = r.apply(model, drawn[r.name])
+        return with_model(params, with_constants(model, self.dtype))
+
+
+def with_model(params: Params, model: Model) -> Params:
+    """Return the parameters with another model."""
+    return Params(model, params.weights, params.noise, params.values)
+
+
+def _alike(variable: Any, value: Any, variables: dict[str, jax.Array]) -> jax.Array:
+    old = variables[variable.name]
+    return check_vector(f"variable {variable.name!r}", None, value, old.dtype, old.shape)
+
+
+def _row(buffer: jax.Array, index: jax.Array) -> jax.Array:
+    """Return a row of a short buffer, by selects."""
+    out = buffer[0]
+    for i in range(1, buffer.shape[0]):
+        out = jnp.where(index == i, buffer[i], out)
+    return out

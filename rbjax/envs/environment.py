@@ -1,0 +1,267 @@
+"""`Environment`: `reset` and `step` of a task, pure functions of one sample.
+
+    reset: state ~ start,  o = observations(state)
+    step:  u = action map(a),  events,  physics (decimation steps),  variables, rewards,
+           terminations,  reset by select if the episode ends,  observations
+A batch under `vmap` is one kernel: physics, random numbers, rewards and resets included.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.arguments import flag, integer
+from rbjax.compiling import compiled, inside_jit
+from rbjax.dynamics.drivers.choice import on_threads
+from rbjax.dynamics.tracing.algorithm import with_compiled_constants
+from rbjax.envs.checks import check_params, check_shape, check_task
+from rbjax.envs.control_step import ControlStep, with_model
+from rbjax.envs.episode import EnvState, Params
+from rbjax.envs.program import run_program
+from rbjax.envs.task import Task
+from rbjax.kinematics.arguments import check_key
+
+
+class Environment:
+    """A task as a functional environment: `reset(key, params)`, `step(key, state, action, params)`.
+
+    Use it to train policies, with the adapters for learning libraries or directly: the functions
+    are pure, for one sample, and compose with `jit`, `vmap`, `grad`.
+
+    Args:
+        task: an `rb.envs.Task`.
+        kernel: True or None: a batch is one kernel if the platform supports it. False: XLA.
+
+    Attributes:
+        action_size: number of entries of an action.
+        action_range: lower and upper limits of an action, each (na,).
+        observation_size: number of entries of an observation; with several groups a dict.
+        dt: control step in s.
+        episode: control steps in an episode.
+        default_params: the `Params` of the task.
+
+    Raises:
+        InputError: a term of the task returns a wrong shape, or a name occurs twice.
+
+    Source: the interface of gymnax (Lange, 2022), with parameters as an argument.
+
+    Example:
+        >>> import jax, jax.numpy as jnp, rbjax as rb
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
+        >>> obs, state, reward, done, info = jax.vmap(env.step)(
+        ...     jax.random.split(jax.random.key(1), 4), state, jnp.zeros((4, 1)))
+        >>> obs.shape, reward.shape
+        ((4, 5), (4,))
+    """
+
+    def __init__(self, task: Task, *, kernel: bool | None = None):
+        check_task(task)
+        self.task = task
+        self.kernel = kernel is None or flag("Environment", "kernel", kernel)
+        self._sample = ControlStep(task)
+        self.dtype = self._sample.dtype
+        self.dt = float(self._sample.dt) * task.decimation
+        self.episode = task.episode
+        self.action_size: int = self._sample.action_size
+        self.action_range = task.action.range(task.model)
+        self._programs: dict[tuple[str, bool], Callable] = {}
+        self._check_terms()
+
+    @functools.cached_property
+    def default_params(self) -> Params:
+        """The parameters of the task."""
+        with jax.ensure_compile_time_eval():
+            return Params(
+                model=self.task.model,
+                weights={r.name: jnp.asarray(r.weight, self.dtype) for r in self.task.rewards},
+                noise=jnp.ones((), self.dtype),
+                values={name: jnp.asarray(x) for name, x in self.task.values.items()},
+            )
+
+    def reset(self, key: jax.Array, params: Params | None = None) -> tuple[Any, EnvState]:
+        """Begin an episode.
+
+        Args:
+            key: of `jax.random`.
+            params: parameters; None for `default_params`.
+
+        Returns:
+            The observation: (n,), or a dict group -> (n,) if the task has several groups.
+            The state of the episode.
+
+        Raises:
+            InputError: params of wrong shapes.
+        """
+        return self._call("reset", (_data("reset", key),), params)
+
+    def step(
+        self, key: jax.Array, state: EnvState, action: jax.Array, params: Params | None = None
+    ) -> tuple[Any, EnvState, jax.Array, jax.Array, dict[str, Any]]:
+        """Advance an episode by a control step. If it ends, begin the next one.
+
+        Args:
+            key: of `jax.random`.
+            state: state of the episode.
+            action: (na,), in `action_range`.
+            params: parameters; None for `default_params`.
+
+        Returns:
+            The observation and the state, of the next episode if this one ended.
+            The reward of the step.
+            done: True if the episode ended.
+            info: "terminated": a termination of the task was true, or the state was not finite;
+                "truncated": the last step of the episode, not terminated; "failed": the state was
+                not finite, the reward is then 0; "rewards": name -> weighted reward term;
+                "return" and "length" of the episode up to this step.
+
+        Raises:
+            InputError: an action or params of wrong shapes.
+        """
+        return self._call("step", self._given("step", key, state, action), params)
+
+    def step_once(
+        self, key: jax.Array, state: EnvState, action: jax.Array, params: Params | None = None
+    ) -> tuple[Any, EnvState, jax.Array, jax.Array, dict[str, Any]]:
+        """Advance an episode by a control step, like `step` but without the reset at its end.
+
+        Use it for gradients through an episode, and if a learning library resets by itself.
+        """
+        return self._call("step_once", self._given("step_once", key, state, action), params)
+
+    def unroll(
+        self, key: jax.Array, obs: Any, state: EnvState, policy: Callable, steps: int,
+        params: Params | None = None,
+    ) -> tuple[Any, EnvState, dict[str, Any]]:  # fmt: skip
+        """Run a policy for a number of steps, with the policy inside the kernel.
+
+        Use it for small policies, such as gains or a network of some thousand weights. Under `vmap`
+        all steps are one kernel.
+
+        Args:
+            key: of `jax.random`.
+            obs, state: observation and state of the episode.
+            policy: function (obs, key) that returns an action (na,).
+            steps: number of control steps.
+            params: parameters; None for `default_params`.
+
+        Returns:
+            The observation and the state after the last step.
+            "obs", "action", "reward", "done", "terminated", "truncated", each with a leading axis
+            of steps. "obs" are the observations before each action.
+
+        Example:
+            >>> import jax, jax.numpy as jnp, rbjax as rb
+            >>> env = rb.envs.make("cart_pole_balance")
+            >>> obs, state = env.reset(jax.random.key(0))
+            >>> policy = lambda obs, key: jnp.zeros(1, obs.dtype)
+            >>> obs, state, path = env.unroll(jax.random.key(1), obs, state, policy, 10)
+            >>> path["reward"].shape
+            (10,)
+        """
+        integer("unroll", "steps", steps, least=1)
+
+        def all_steps(own: tuple, params: Params) -> tuple:
+            data, obs, state = own
+
+            def one(carry: tuple, i: jax.Array) -> tuple:
+                obs, state = carry
+                act, step = jax.random.split(jax.random.fold_in(_key(data), i))
+                action = check_shape(
+                    "unroll", "the action of the policy", policy(obs, act), (self.action_size,),
+                    self.dtype,
+                )  # fmt: skip
+                after, state, reward, done, info = self._step(
+                    (jax.random.key_data(step), state, action), params
+                )
+                kept = {"obs": obs, "action": action, "reward": reward, "done": done}
+                kept |= {name: info[name] for name in ("terminated", "truncated")}
+                return (after, state), kept
+
+            (obs, state), path = jax.lax.scan(one, (obs, state), jnp.arange(steps))
+            return obs, state, path
+
+        return self._run(all_steps, (_data("unroll", key), obs, state), self._params(params))
+
+    def _given(self, where: str, key: Any, state: Any, action: Any) -> tuple:
+        data = _data(where, key)
+        return data, state, check_shape(where, "action", action, (self.action_size,), self.dtype)
+
+    def _params(self, params: Params | None) -> Params:
+        if params is None:
+            return self.default_params
+        check_params(self.task.name, params, self.default_params)
+        return params
+
+    def _call(self, name: str, own: tuple, params: Params | None) -> Any:
+        """Run a function of one sample, compiled if the call is not inside `jit`. Default
+        parameters are constants of the program."""
+        f, given = getattr(self, f"_{name}"), self._params(params)
+        if inside_jit():
+            return self._run(f, own, given)
+        default = params is None
+        if (name, default) not in self._programs:
+            program = functools.partial(self._run, f)
+            if default:
+                program = functools.partial(_with_last, program, given)
+            self._programs[name, default] = compiled(program)
+        return self._programs[name, default](own, *(() if default else (given,)))
+
+    def _run(self, f: Callable, own: tuple, params: Params) -> Any:
+        if not self.kernel:
+            return f(own, params)
+        model = on_threads(params.model, self.dtype)
+        if not self.task.randomise:
+            model = with_compiled_constants(model, self.dtype)
+        saves = self.task.model.contact is not None
+        return run_program(f, own, with_model(params, model), saves=saves)
+
+    def _reset(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
+        begin, noise = jax.random.split(_key(own[0]))
+        state = self._sample.begin(begin, params)
+        return self._sample.observe(noise, state, params, None)
+
+    def _step(self, own: tuple, params: Params) -> tuple:
+        data, state, action = own
+        advance, begin, noise = jax.random.split(_key(data), 3)
+        state, reward, done, info = self._sample.advance(advance, state, action, params)
+        new = self._sample.begin(begin, params)
+        new = new.replace(buffers={**state.buffers, **new.buffers})
+        state = jax.tree.map(lambda a, b: jnp.where(done, a, b), new, state)
+        obs, state = self._sample.observe(noise, state, params, done)
+        return obs, state, reward, done, info
+
+    def _step_once(self, own: tuple, params: Params) -> tuple:
+        data, state, action = own
+        advance, _, noise = jax.random.split(_key(data), 3)
+        state, reward, done, info = self._sample.advance(advance, state, action, params)
+        obs, state = self._sample.observe(noise, state, params, False)
+        return obs, state, reward, done, info
+
+    def _check_terms(self) -> None:
+        """Trace a reset and a step, so that a wrong term raises here, and measure observations."""
+        key = jax.ShapeDtypeStruct((2,), jnp.uint32)
+        obs, state = jax.eval_shape(lambda d: self._reset((d,), self.default_params), key)
+        action = jax.ShapeDtypeStruct((self.action_size,), self.dtype)
+        jax.eval_shape(lambda *own: self._step(own, self.default_params), key, state, action)
+        self.observation_size = jax.tree.map(lambda x: x.shape[0], obs)
+
+
+def _with_last(f: Callable, params: Params, own: tuple) -> Any:
+    return f(own, params)
+
+
+def _data(where: str, key: Any) -> jax.Array:
+    """Return the two integers of a key: threads do not take typed keys."""
+    check_key(where, key)
+    data = jax.random.key_data(key)
+    return data if data.shape == (2,) else jax.random.bits(key, (2,), jnp.uint32)
+
+
+def _key(data: jax.Array) -> jax.Array:
+    return jax.random.wrap_key_data(data, impl="threefry2x32")

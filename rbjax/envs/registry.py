@@ -1,0 +1,92 @@
+"""The registry of tasks, and `make`."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rbjax.envs.environment import Environment
+from rbjax.envs.task import Task
+from rbjax.errors import InputError, UnknownName
+
+F = TypeVar("F", bound=Callable[..., Task])
+
+_TASKS: dict[str, Callable[..., Task]] = {}
+
+
+def register(name: str) -> Callable[[F], F]:
+    """Register a function that returns a `Task` (a decorator).
+
+    Args:
+        name: name of the task.
+
+    A function that is defined again, for instance in a notebook, replaces the earlier one.
+
+    Raises:
+        InputError: a name that is not a word, or that belongs to another function.
+
+    Example:
+        >>> import rbjax as rb
+        >>> @rb.envs.register("my_balance")
+        ... def my_balance():
+        ...     return rb.envs.tasks()["cart_pole_balance"]()
+        >>> rb.envs.make("my_balance").action_size
+        1
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f'register: name is {name!r}, expected a word such as "my_task"')
+
+    def add(f: F) -> F:
+        old = _TASKS.get(name)
+        if old is not None and old.__qualname__ != f.__qualname__:
+            raise InputError(f"register: {name} is the name of another task, expected a new name")
+        _TASKS[name] = f
+        return f
+
+    return add
+
+
+def tasks() -> dict[str, Callable[..., Task]]:
+    """Return all tasks by name: functions of options that return a `Task`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> "cart_pole_balance" in rb.envs.tasks()
+        True
+    """
+    package = importlib.import_module("rbjax.envs.tasks")
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
+    return dict(sorted(_TASKS.items()))
+
+
+def make(name: str, *, kernel: bool | None = None, **options: Any) -> Environment:
+    """Make the environment of a named task.
+
+    Args:
+        name: a name of `rb.envs.tasks`.
+        kernel: as in `Environment`.
+        options: of the function of the task.
+
+    Returns:
+        `Environment`.
+
+    Raises:
+        UnknownName: no such task, or an option that it does not have.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.make("cart_pole_balance").observation_size
+        5
+    """
+    known = tasks()
+    if name not in known:
+        raise UnknownName("task", name, known)
+    accepted = list(inspect.signature(known[name]).parameters)
+    for option in options:
+        if option not in accepted:
+            raise UnknownName(f"option of task {name!r}", option, accepted)
+    return Environment(known[name](**options), kernel=kernel)
