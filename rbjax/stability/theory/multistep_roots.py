@@ -37,6 +37,7 @@ from rbjax.stability.theory.polynomials import (
     exact,
     gcd,
     multiply,
+    numeric_roots,
     poly,
     rational,
     roots,
@@ -164,7 +165,7 @@ class Characteristic:
                 return mpmath.inf
             while row[0] == 0:
                 row.pop(0)
-            found = mpmath.polyroots(row, maxsteps=500, extraprec=200, asc=True)
+            found = numeric_roots(row)
             return max(map(abs, found), default=mpmath.mpf(0))
 
 

@@ -8,6 +8,7 @@ random. A coefficient from a tableau of doubles is converted to the simple fract
 
 from __future__ import annotations
 
+import inspect
 import itertools
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -145,7 +146,18 @@ def roots(p: Poly) -> list[mpmath.mpc]:
         return []
     with mpmath.workdps(DIGITS):
         exact = [mpmath.mpf(c.numerator) / c.denominator for c in p]
-        return list(mpmath.polyroots(exact, maxsteps=500, extraprec=200, asc=True))
+        return numeric_roots(exact)
+
+
+def numeric_roots(coefficients: Sequence[Any]) -> list[mpmath.mpc]:
+    """Return the roots of a polynomial with mpmath's numbers, in its precision.
+
+    >>> [complex(r) for r in numeric_roots([mpmath.mpf(-2), mpmath.mpf(1)])]
+    [(2+0j)]
+    """
+    # mpmath 1.3, which PyTorch requires, knows descending order only and has no argument for it
+    order = {"asc": False} if "asc" in inspect.signature(mpmath.polyroots).parameters else {}
+    return list(mpmath.polyroots(coefficients[::-1], maxsteps=500, extraprec=200, **order))
 
 
 def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:

@@ -162,7 +162,8 @@ def growth(phi: stability.Characteristic, y: float) -> mpmath.mpf:
                 row[j] += mpmath.mpc(0, y) ** m * c.numerator / c.denominator
         while not row[0]:
             row.pop(0)
-        found = mpmath.polyroots(row, maxsteps=500, extraprec=300, asc=True)
+        order = {"asc": False} if mpmath.__version__ >= "1.4" else {}  # 1.3 has no such argument
+        found = mpmath.polyroots(row[::-1], maxsteps=500, extraprec=300, **order)
         return max(map(abs, found)) - 1
 
 
