@@ -147,9 +147,10 @@ def check_array(
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
         xp, values = module_for_check(value if on_host else x)
         with jax.ensure_compile_time_eval():  # constants in traced code stay concrete
-            finite = np.asarray(xp.isfinite(values))
-        if not finite.all():
-            at = tuple(np.argwhere(~finite)[0])
+            finite = xp.isfinite(values)
+            all_finite = bool(finite.all())
+        if not all_finite:
+            at = tuple(np.argwhere(~np.asarray(finite))[0])
             place = f"[{', '.join(map(str, at))}]" if at else ""
             wrong = np.asarray(values)[at]
             raise InputError(f"{where}: {name}{place} is {wrong}, expected finite values")

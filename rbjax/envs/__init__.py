@@ -7,7 +7,6 @@ Files:
     episode.py: `Params` and `EnvState`, the pytrees.
     environment.py: `Environment`, `reset`, `step`, `unroll`.
     control_step.py: a control step of one sample.
-    program.py: one program for a function of one sample.
     checks.py: checks of tasks and parameters.
     registry.py: `tasks`, `make`, `register`.
 

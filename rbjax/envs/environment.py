@@ -19,12 +19,13 @@ from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
+from rbjax.dynamics.tracing.one_sample import run_sample
 from rbjax.envs.checks import check_params, check_shape, check_task
 from rbjax.envs.control_step import ControlStep, with_model
 from rbjax.envs.episode import EnvState, Params
-from rbjax.envs.program import run_program
 from rbjax.envs.task import Task
 from rbjax.kinematics.arguments import check_key
+from rbjax.meshes import on_auto_axes, on_explicit_axes
 
 
 class Environment:
@@ -213,13 +214,15 @@ class Environment:
         return self._programs[name, default](own, *(() if default else (given,)))
 
     def _run(self, f: Callable, own: tuple, params: Params) -> Any:
+        if on_explicit_axes(own, params):
+            return on_auto_axes(functools.partial(self._run, f), own, params)
         if not self.kernel:
             return f(own, params)
         model = on_threads(params.model, self.dtype)
         if not self.task.randomise:
             model = with_compiled_constants(model, self.dtype)
         saves = self.task.model.contact is not None
-        return run_program(f, own, with_model(params, model), saves=saves)
+        return run_sample(f, own, with_model(params, model), saves=saves)
 
     def _reset(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
         begin, noise = jax.random.split(_key(own[0]))

@@ -245,3 +245,15 @@ def test_wrong_arguments():
         rb.envs.make("no_such_task")
     with pytest.raises(rb.InputError, match=r"the action of the policy has shape \(\)"):
         env.unroll(jax.random.key(0), jnp.zeros(2), state, lambda obs, key: 0.0, 2)
+
+
+def test_batch_on_a_mesh_of_explicit_axes():
+    mesh = jax.make_mesh((1,), ("batch",), axis_types=(jax.sharding.AxisType.Explicit,))
+    env = rb.envs.Environment(task())
+    _, state = states(env, 4)
+    spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("batch"))
+    given = keys(4), state, jnp.ones((4, 1))
+    due = jax.vmap(env.step)(*given)
+    with jax.set_mesh(mesh):
+        found = jax.jit(jax.vmap(env.step))(*jax.device_put(given, spread))
+    np.testing.assert_array_equal(found[0], due[0])

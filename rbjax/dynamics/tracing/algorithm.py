@@ -27,6 +27,7 @@ from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static, check_takes
 from rbjax.dynamics.drivers.choice import KERNELS_ABOVE, on_threads
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
+from rbjax.dynamics.tracing.one_sample import run_sample
 from rbjax.errors import InputError
 from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Frame, Model, with_constants
@@ -71,31 +72,24 @@ def algorithm(
         def inlined(*args: Any, **kwargs: Any) -> Any:
             if on_explicit_axes(args, kwargs):
                 return on_auto_axes(lambda args, kwargs: inlined(*args, **kwargs), args, kwargs)
-            compiled = kernels_available()
-            moving, closed = split_tracers((on_lanes(args) if compiled else args, kwargs))
-            if not moving or not compiled:
-                return f(*args, **kwargs)
-            shape: list[Any] = []
+            own = (on_lanes(args) if kernels_available() else args), kwargs
+            kernels = None
+            if multi_kernel is not None and args[0].nv > KERNELS_ABOVE:
+                kernels = None if args[0].topology.frames else in_kernels(args, kwargs)
+            keeps = saves is not None and saves(*args, **kwargs)
+            return run_sample(of_pair, own, saves=keeps, multi_kernel=kernels)
 
-            def flat(*moving: Any) -> list[jax.Array]:
+        def of_pair(own: tuple, shared: Any) -> Any:
+            return f(*own[0], **own[1])
+
+        def in_kernels(args: tuple, kwargs: dict[str, Any]) -> Callable:
+            closed = split_tracers((args, kwargs))[1]
+
+            def leaves(*moving: Any) -> list[jax.Array]:
                 args, kwargs = closed(list(moving))
-                leaves, tree = jax.tree.flatten(f(*args, **kwargs))
-                shape.append(tree)
-                return [jnp.asarray(x) for x in leaves]
+                return jax.tree.leaves(multi_kernel(*args, **kwargs))  # type: ignore[misc]
 
-            program, closed_over = trace(flat, moving)
-            if saves is not None and saves(*args, **kwargs):
-                program = dataclasses.replace(program, saves=True)
-            large = args[0].nv > KERNELS_ABOVE and not args[0].topology.frames
-            if multi_kernel is not None and large:
-                as_given = split_tracers((args, kwargs))[1]
-
-                def in_kernels(*moving: Any) -> list[jax.Array]:
-                    args, kwargs = as_given(list(moving))
-                    return jax.tree.leaves(multi_kernel(*args, **kwargs))
-
-                program = dataclasses.replace(program, multi_kernel=in_kernels)
-            return jax.tree.unflatten(shape[0], run(program, [*closed_over, *moving]))
+            return leaves
 
         program = jitted(inlined, static_argnames=static)
 

@@ -1,0 +1,59 @@
+"""One program for a function of one sample: a GPU thread, or a SIMD lane of machine code."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiler import kernels_available
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.uniform import hoist_uniform
+from rbjax.dynamics.tracing.custom_rules import split_tracers
+
+
+def run_sample(
+    f: Callable,
+    own: Any,
+    shared: Any = (),
+    *,
+    saves: bool = False,
+    multi_kernel: Callable | None = None,
+) -> Any:
+    """Compute f(own, shared), whose `vmap` is one kernel.
+
+    Values that are not traced are constants of the program. If no device runs kernels, XLA runs f.
+
+    own: arguments of the sample, a pytree.
+    shared: arguments that all samples of a batch usually share, a pytree. Work that depends only on
+        them is done once.
+    saves: whether a reverse derivative saves the named values of the forward pass.
+    multi_kernel: function of the traced values of `own` that computes the leaves of the result in
+        several kernels, for a large model on a GPU; or None.
+    """
+    moving, closed = split_tracers((own, shared))
+    if not moving or not kernels_available():
+        return f(own, shared)
+    structure: list[Any] = []
+
+    def flat(*args: jax.Array) -> list[jax.Array]:
+        leaves, tree = jax.tree.flatten(f(*closed(list(args))))
+        structure.append(tree)
+        return [jnp.asarray(x) for x in leaves]
+
+    program, closed_over = trace(flat, moving)
+    if saves:
+        program = dataclasses.replace(program, saves=True)
+    if multi_kernel is not None:
+        program = dataclasses.replace(program, multi_kernel=multi_kernel)
+    count = len(split_tracers(own)[0])
+    if count == len(moving):
+        return jax.tree.unflatten(structure[0], run(program, [*closed_over, *moving]))
+    known = [True] * len(closed_over) + [False] * count + [True] * (len(moving) - count)
+    operands = [*closed_over, *[None] * count, *moving[count:]]
+    program, uniform = hoist_uniform(program, known, operands, run)
+    return jax.tree.unflatten(structure[0], run(program, [*moving[:count], *uniform]))
