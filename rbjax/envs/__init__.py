@@ -9,11 +9,15 @@ Files:
     control_step.py: a control step of one sample.
     checks.py: checks of tasks and parameters.
     registry.py: `tasks`, `make`, `register`.
+    terrain.py: `rough_ground`.
 
 Subpackages:
     tasks: the tasks, one a file.
+    terms: observation and reward terms that tasks share.
+    robots: MJCF files of robots.
 """
 
+from rbjax.envs import terms
 from rbjax.envs.actions import Direct, Increment, Offset, Scaled
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
@@ -29,6 +33,7 @@ from rbjax.envs.task import (
     scale,
     sum_of_rewards,
 )
+from rbjax.envs.terrain import rough_ground
 from rbjax.envs.transition import Transition
 
 __all__ = [
@@ -49,7 +54,9 @@ __all__ = [
     "make",
     "offset",
     "register",
+    "rough_ground",
     "scale",
     "sum_of_rewards",
     "tasks",
+    "terms",
 ]

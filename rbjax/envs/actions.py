@@ -94,6 +94,10 @@ class Offset:
         """Return the lower and the upper limits (na,) of an action."""
         return -np.ones(model.nu), np.ones(model.nu)
 
+    def initial_ctrl(self, model: Model) -> Any:
+        """Return the controls (nu,) before the first step."""
+        return np.broadcast_to(np.asarray(self.rest), (model.nu,))
+
     def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
         """Compute the controls (nu,)."""
         rest, scale = (jnp.asarray(x, action.dtype) for x in (self.rest, self.scale))

@@ -1,0 +1,64 @@
+"""Frames of a robot after a control step, and readings of actuators, each computed once a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.context import Context, Frame
+from rbjax.lanes import Lane, safe_sqrt, total
+from rbjax.sensors.actuators import actuator_force
+from rbjax.sensors.fixed import named_frame
+
+#: a term: a function of a `rbjax.envs.Transition`
+Term = Callable[[Any], Any]
+
+
+def frame_at(context: Context, frame: Any) -> Frame:
+    """Return the motion of a frame at an instant.
+
+    frame: name of a site or of a body, or an `rb.Frame`.
+    """
+    found: dict[Any, Frame] = context.once(frame_at, dict)
+    if frame not in found:
+        found[frame] = context.frame(named_frame(context.model, frame))
+    return found[frame]
+
+
+def scalar(context: Context, value: Any) -> jax.Array:
+    """Return a lane as an array () in the dtype of q."""
+    return jnp.asarray(value, context.q.dtype)
+
+
+def squares(lanes: Any) -> Lane:
+    """Return the sum of the squares of lanes."""
+    return total(x * x for x in lanes)
+
+
+def length(lanes: Any) -> Lane:
+    """Return the Euclidean norm of lanes. The derivative at zero is zero."""
+    return safe_sqrt(squares(lanes))
+
+
+def norm(x: jax.Array) -> jax.Array:
+    """Return the Euclidean norm of an array (n,). The derivative at zero is zero."""
+    return jnp.asarray(safe_sqrt((x * x).sum()))
+
+
+def hinges(values: jax.Array, count: int) -> jax.Array:
+    """Return the last `count` entries of q or v: the joints of a robot with a floating base."""
+    return values[values.shape[0] - count :]
+
+
+def actuator_forces(context: Context) -> jax.Array:
+    """Return the scalar forces (nu,) of all actuators, within their ranges."""
+
+    def found() -> jax.Array:
+        names = range(context.model.nu)
+        return jnp.stack([scalar(context, actuator_force(context, k)) for k in names])
+
+    forces: jax.Array = context.once(actuator_forces, found)
+    return forces

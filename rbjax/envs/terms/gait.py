@@ -1,0 +1,85 @@
+"""A gait clock: phases of the legs, and a reward for feet that follow the height of their phase.
+
+The phase p in [-pi, pi) of a leg grows by 2 pi f dt a step. With x = (p + pi) / (2 pi) the height
+of a foot rises to h and falls again by cubic Bezier curves b(y) = y^3 + 3 y^2 (1 - y):
+
+    z(p) = h b(2 x)  for x <= 1/2,      z(p) = h (1 - b(2 x - 1))  for x > 1/2
+(Zakka et al., *MuJoCo Playground*, 2025; Shao et al., *Learning free gait transition*, 2021.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.envs.task import Variable
+from rbjax.envs.terms.feet import Feet
+from rbjax.envs.terms.frames import Term, frame_at, length, norm
+from rbjax.envs.terms.joints import STILL
+
+#: a robot that moves faster, m/s or rad/s, has to step
+SLOW = 0.1
+
+
+def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
+    """Return the variables `phase` (n,), rad, and `gait_rate`, Hz, of a gait clock.
+
+    The rate is drawn at a reset, uniform in `params.values["gait_rate"]` (2,).
+
+    Args:
+        dt: control step, s.
+        offsets: phase of each leg at a reset, rad.
+    """
+
+    def rate(key: Any, params: Any) -> jax.Array:
+        low, high = (params.values["gait_rate"][i] for i in (0, 1))
+        return low + (high - low) * jax.random.uniform(key, ())
+
+    def start(key: Any, params: Any) -> jax.Array:
+        return jnp.asarray(list(map(float, offsets)))
+
+    def advanced(key: Any, t: Any) -> jax.Array:
+        p = t.variables["phase"] + (2 * math.pi * dt) * t.variables["gait_rate"] + math.pi
+        return jnp.where(p >= 2 * math.pi, p - 2 * math.pi, p) - math.pi
+
+    return Variable("phase", start, update=advanced), Variable("gait_rate", rate)
+
+
+def phase_cosines(t: Any) -> jax.Array:
+    """Observe the cosines and then the sines (2 n,) of the phases."""
+    p = t.variables["phase"]
+    return jnp.concatenate([jnp.cos(p), jnp.sin(p)])
+
+
+def height_of_phase(phase: jax.Array, height: float) -> jax.Array:
+    """Return the height z(p) (n,) of feet, m, that rise to `height`."""
+    x = (phase + math.pi) / (2 * math.pi)
+    rises = x <= 0.5
+    y = jnp.where(rises, 2 * x, 2 * x - 1)
+    b = y * y * y + 3 * y * y * (1 - y)
+    return height * jnp.where(rises, b, 1 - b)
+
+
+def follow_phase(
+    feet: Feet, height: float, frame: Any, width: float = 0.01, command: str = "command"
+) -> Term:
+    """Reward feet at the heights of their phases: exp(-sum of (h - z(p))^2 / width).
+
+    It is zero if the command is zero and the frame moves slower than 0.1 m/s and 0.1 rad/s.
+
+    height: m, of a swing. width: m^2. frame: site or body of the base.
+    """
+
+    def read(t: Any) -> jax.Array:
+        error = feet.heights(t) - height_of_phase(t.variables["phase"], height)
+        base = frame_at(t.after, frame)
+        v, w = base.velocity, base.angular_velocity
+        moves = (length((v[0], v[1])) > SLOW) | (jnp.abs(w[2]) > SLOW)
+        moves = moves | (norm(t.variables[command]) > STILL)
+        return jnp.where(moves, jnp.exp(-(error * error).sum() / width), 0.0)
+
+    return read

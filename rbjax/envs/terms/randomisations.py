@@ -1,0 +1,103 @@
+"""Domain randomisation of a robot: friction, masses, centers of mass, joints.
+
+All are uniform, and drawn at each reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.envs.task import Randomisation, offset, scale
+from rbjax.model import Model
+
+
+def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Randomisation:
+    """Return the randomisation that sets one coefficient of sliding friction of geoms."""
+
+    def draw(key: Any, params: Any) -> jax.Array:
+        return jax.random.uniform(key, (), minval=low, maxval=high)
+
+    def apply(model: Model, value: jax.Array) -> Model:
+        assert model.geoms is not None
+        chosen = np.zeros(model.geoms.friction.shape, bool)
+        chosen[list(geoms), 0] = True
+        friction = jnp.where(chosen, value, model.geoms.friction)
+        return model.replace(geoms=model.geoms.replace(friction=friction))
+
+    return Randomisation(name, draw, apply)
+
+
+def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) -> Randomisation:
+    """Return the randomisation that sets one coefficient of sliding friction of explicit pairs."""
+
+    def draw(key: Any, params: Any) -> jax.Array:
+        return jax.random.uniform(key, (), minval=low, maxval=high)
+
+    def apply(model: Model, value: jax.Array) -> Model:
+        assert model.geoms is not None
+        chosen = np.zeros(model.geoms.pair_friction.shape, bool)
+        chosen[list(pairs), :2] = True
+        friction = jnp.where(chosen, value, model.geoms.pair_friction)
+        return model.replace(geoms=model.geoms.replace(pair_friction=friction))
+
+    return Randomisation(name, draw, apply)
+
+
+def joint_randomisations(
+    model: Model, *, friction: tuple[float, float], armature: tuple[float, float], zero: float
+) -> tuple[Randomisation, ...]:
+    """Return the randomisations of all joints but the first, the floating base.
+
+    Args:
+        model: the robot.
+        friction, armature: ranges of the factors of friction loss and armature of each joint.
+        zero: greatest change of the zero of each joint, rad.
+    """
+    free = model.nv - (model.nq - 7)
+    joints, coordinates = np.arange(model.nv) >= free, np.arange(model.nq) >= 7
+
+    def factors(limits: tuple[float, float]) -> list[np.ndarray]:
+        return [np.where(joints, x, 1.0) for x in limits]
+
+    most = np.where(coordinates, zero, 0.0)
+    return (
+        scale("friction_loss", _friction_loss, *factors(friction), each=True),
+        scale("armature", lambda m: m.joints.armature, *factors(armature), each=True),
+        offset("joint_zero", lambda m: m.joints.reference, -most, most, each=True),
+    )
+
+
+def shift_center_of_mass(model: Model, body: str, most: float) -> Randomisation:
+    """Return the randomisation of the center of mass of a body, by at most `most` m an axis."""
+    limit = np.zeros(model.bodies.com.shape)
+    limit[model.body(body)] = most
+    return offset("center_of_mass", lambda m: m.bodies.com, -limit, limit, each=True)
+
+
+def mass_randomisations(
+    model: Model, body: str, *, factor: tuple[float, float], added: float
+) -> tuple[Randomisation, ...]:
+    """Return the randomisations of masses. Moments of inertia do not change.
+
+    Args:
+        model: the robot.
+        body: the body that carries a load.
+        factor: range of the factor of the mass of each body.
+        added: greatest absolute mass that is added to the body, kg.
+    """
+    limit = np.zeros(model.nb)
+    limit[model.body(body)] = added
+    return (
+        scale("masses", lambda m: m.bodies.mass, *factor, each=True),
+        offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
+    )
+
+
+def _friction_loss(model: Any) -> jax.Array:
+    loss: jax.Array = model.solver.frictionloss
+    return loss
