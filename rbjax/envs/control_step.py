@@ -114,7 +114,7 @@ class ControlStep:
             if v.measure is not None:
                 variables[v.name] = _alike(v, v.measure(to), variables)
         to = dataclasses.replace(to, variables=variables)
-        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([moved.q, moved.v])))
+        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([moved.q, moved.v, action])))
         terminated = failed
         for name, ends in task.terminations.items():
             terminated = terminated | check_number(f"termination {name!r}", task, ends(to))

@@ -116,10 +116,10 @@ class Environment:
             The observation and the state, of the next episode if this one ended.
             The reward of the step.
             done: True if the episode ended.
-            info: "terminated": a termination of the task was true, or the state was not finite;
-                "truncated": the last step of the episode, not terminated; "failed": the state was
-                not finite, the reward is then 0; "rewards": name -> weighted reward term;
-                "return" and "length" of the episode up to this step.
+            info: "terminated": a termination of the task was true, or "failed";
+                "truncated": the last step of the episode, not terminated; "failed": the state or
+                the action was not finite, the reward is then 0; "rewards": name -> weighted reward
+                term; "return" and "length" of the episode up to this step.
 
         Raises:
             InputError: an action or params of wrong shapes.

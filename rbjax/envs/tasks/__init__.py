@@ -1,2 +1,25 @@
 """Tasks, one a file. Each file registers functions that return a `Task`; `rb.envs.tasks` imports
-all files of this folder."""
+all files of this folder.
+
+Files:
+    cart_pole.py: balance and swing-up of a pole on a cart.
+    hopper.py: a planar hopper that stands or hops.
+    walker.py: a planar walker that stands, walks or runs.
+"""
+
+import sys
+import types
+from collections.abc import Callable
+
+from rbjax.envs import registry
+from rbjax.envs.task import Task
+
+
+class _Tasks(types.ModuleType):
+    """This package, callable: an import of it hides the function `rb.envs.tasks`."""
+
+    def __call__(self) -> dict[str, Callable[..., Task]]:
+        return registry.tasks()
+
+
+sys.modules[__name__].__class__ = _Tasks
