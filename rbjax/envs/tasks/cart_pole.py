@@ -26,7 +26,7 @@ from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.task import Observation, Reward, Task
 from rbjax.envs.terms.products import product_of_rewards
-from rbjax.envs.terms.tolerance import tolerance
+from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.loading import load
 from rbjax.model import State
 

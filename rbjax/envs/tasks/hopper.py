@@ -27,8 +27,8 @@ import jax.numpy as jnp
 from rbjax.envs.registry import register
 from rbjax.envs.task import Observation, Reward, Task
 from rbjax.envs.terms.products import product_of_rewards
+from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.envs.terms.starts import planar_start
-from rbjax.envs.terms.tolerance import tolerance
 from rbjax.loading import load
 from rbjax.model import Frame
 from rbjax.sensors import SubtreeVelocity, Touch, Volume

@@ -25,8 +25,8 @@ import jax.numpy as jnp
 
 from rbjax.envs.registry import register
 from rbjax.envs.task import Observation, Reward, Task
+from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.envs.terms.starts import planar_start
-from rbjax.envs.terms.tolerance import tolerance
 from rbjax.loading import load
 from rbjax.sensors import SubtreeVelocity
 

@@ -13,6 +13,9 @@ Files:
     commands.py: commands that change in time.
     pushes.py: pushes.
     randomisations.py: domain randomisation of robots.
+    sigmoids.py: `tolerance`, values between 0 and 1 by the distance from an interval.
+    products.py: rewards that are products of their terms.
+    starts.py: random angles at the start of an episode.
 """
 
 from rbjax.envs.terms.attitude import axis_error, fallen, gravity_direction, tilt
@@ -40,6 +43,7 @@ from rbjax.envs.terms.joints import (
     stand_still,
 )
 from rbjax.envs.terms.loads import excess_load, two_foot_loads
+from rbjax.envs.terms.products import product_of_rewards
 from rbjax.envs.terms.pushes import force_pushes, velocity_pushes
 from rbjax.envs.terms.randomisations import (
     joint_randomisations,
@@ -48,6 +52,8 @@ from rbjax.envs.terms.randomisations import (
     set_pair_friction,
     shift_center_of_mass,
 )
+from rbjax.envs.terms.sigmoids import tolerance
+from rbjax.envs.terms.starts import planar_start
 from rbjax.envs.terms.touch import any_touching, box_separation, touching
 from rbjax.envs.terms.velocities import (
     roll_and_pitch_rate,
@@ -82,9 +88,11 @@ __all__ = [
     "mass_randomisations",
     "periodic_commands",
     "phase_cosines",
+    "planar_start",
     "pose_error",
     "pose_similarity",
     "power",
+    "product_of_rewards",
     "roll_and_pitch_rate",
     "set_friction",
     "set_pair_friction",
@@ -94,6 +102,7 @@ __all__ = [
     "switched_commands",
     "terminated",
     "tilt",
+    "tolerance",
     "touching",
     "track_velocity",
     "track_yaw_rate",

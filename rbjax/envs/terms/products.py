@@ -17,7 +17,7 @@ def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
     Source: Tassa et al., *DeepMind Control Suite*, 2018, sec. 2.4.
 
     Example:
-        >>> from rbjax.envs.terms.products import product_of_rewards
+        >>> from rbjax.envs.terms import product_of_rewards
         >>> product_of_rewards({"upright": 0.5, "centered": 0.5}, 0.02)
         0.25
     """

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.envs.terms.tolerance import SIGMOIDS, tolerance
+from rbjax.envs.terms.sigmoids import SIGMOIDS, tolerance
 from rbjax.errors import InputError, UnknownName
 
 X = np.concatenate([np.linspace(-6, 6, 41), [0.3, 0.7, 1.0, 2.0]])

@@ -87,7 +87,7 @@ def tolerance(
     Source: Tassa et al., *DeepMind Control Suite*, 2018, sec. 2.4.
 
     Example:
-        >>> from rbjax.envs.terms.tolerance import tolerance
+        >>> from rbjax.envs.terms import tolerance
         >>> far = float("inf")
         >>> float(tolerance(0.8, (1.0, far), 0.4, "linear", value_at_margin=0.5))
         0.75
