@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +14,11 @@ from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import movie_files, offscreen
 from rbjax.plotting.contact_arrows import with_arrows
-from rbjax.plotting.drawing import FADED, Stage, shapes_of
+from rbjax.plotting.drawing import Stage, shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture
-from rbjax.rotations import quaternion
-from rbjax.style import INK, RED
+from rbjax.plotting.web_page import write_page
+from rbjax.style import INK
 
 SUFFIXES = (".gif", ".mp4", ".html")
 RENDERERS = ("drawing", "mujoco")
@@ -51,7 +47,8 @@ def animate(
 
     Without `source` the robot is drawn from its parameters, as rods from joint to joint and
     ellipsoids of inertia. The suffix of the file determines the format: .gif; .mp4, which requires
-    ffmpeg; or .html, a self-contained page in which the mouse turns the view.
+    ffmpeg; or .html, a self-contained page (WebGL 2) in which the mouse turns the view, with controls
+    for speed, the camera, contact forces and ghosts: the other samples of a batch, up to thousands.
 
     Args:
         model: the robot that moved.
@@ -62,7 +59,8 @@ def animate(
         floating_base: as in `rbjax.load`, for a source that is a URDF.
         fps: frames per second of the animation.
         speed: seconds of motion per second of the animation; 0.1 is slow motion.
-        samples: the number of samples of a batch to draw. All but the first are faded.
+        samples: the number of samples of a batch to draw. All but the first are faded. An HTML
+            page draws thousands; above some megabytes it has fewer frames of them.
         camera: the line of sight. None chooses a right angle to a flat motion, or else a corner.
         follow: whether the view moves with the robot; None: only if the robot moves far.
         trace: one body or several, whose origins leave a line.
@@ -98,7 +96,7 @@ def animate(
     shown = film(model, ts, q, shapes, camera=camera, follow=follow, trace=trace)
     shown = with_arrows("animate", shown, model, contacts, np.asarray(trajectory.ts, float))
     if path.suffix == ".html":
-        _write_page(path, shown, title, fps=fps, speed=speed)
+        write_page(path, shown, title, fps=fps, speed=speed)
         return path
     pictures: Iterable[np.ndarray] = _drawn(shown, title, speed, size)
     if renderer == "mujoco":
@@ -159,44 +157,3 @@ def _labelled(
         shown.set_data(image)
         label.set_text(clock(film.ts[frame], speed))
         yield picture(canvas)
-
-
-def _write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) -> None:
-    """Write a film as one self-contained HTML page, with a script that draws it. Poses are 32-bit
-    floats, position and quaternion, in base64."""
-    data: dict[str, Any] = {
-        "fps": fps,
-        "speed": speed,
-        "faded": FADED,
-        "start": float(film.ts[0]),
-        "frames": len(film.ts),
-        "samples": len(film.R),
-        "bodies": film.p.shape[2],
-        "azimuth": film.camera.azimuth,
-        "elevation": film.camera.elevation,
-        "floor": film.floor,
-        "size": film.size.tolist(),
-        "solids": [
-            {
-                "body": s.body,
-                "end": s.end,
-                "color": [round(255 * c) for c in s.color],
-                "alpha": s.alpha,
-                "points": _packed(s.points),
-            }
-            for s in film.shapes
-        ],
-        "poses": _packed(np.concatenate([film.p, quaternion.from_matrix(film.R)], -1)),
-        "centre": _packed(film.centre),
-        "paths": [_packed(p) for p in film.paths],
-        "strong": film.strong,
-        "pushes": 0 if film.arrows is None else film.arrows.shape[1],
-        "arrows": "" if film.arrows is None else _packed(film.arrows),
-    }
-    text = resources.files("rbjax.plotting").joinpath("page.html").read_text()
-    text = text.replace("__TITLE__", html.escape(title or "rbjax")).replace("__FORCE__", RED)
-    path.write_text(text.replace("__DATA__", json.dumps(data)))
-
-
-def _packed(x: np.ndarray) -> str:
-    return base64.b64encode(np.asarray(x, "<f4").tobytes()).decode()

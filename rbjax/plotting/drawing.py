@@ -56,6 +56,9 @@ def outlines(
         if s.body < 0 and not world:
             continue
         view = s.placed(R, p) @ axes.T
+        if s.triangles is not None:
+            found += _terrain(s, view, alpha)
+            continue
         hull = _hull(view[:, :2])
         if hull is not None:
             (red, green, blue), opacity = s.color, alpha * s.alpha
@@ -69,6 +72,20 @@ def outlines(
     return [outline for _, outline in sorted(found, key=lambda item: item[0])]
 
 
+def _terrain(s: Solid, view: Array, alpha: float) -> list[tuple[float, Outline]]:
+    """Return the triangles of a surface that face the eye, with their depths. view: (n, 3)."""
+    assert s.triangles is not None
+    corners = view[s.triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = area[:, 2] / np.maximum(np.linalg.norm(area, axis=-1), 1e-300)
+    out = []
+    for k in np.flatnonzero(facing > 0):
+        red, green, blue = (float(x * (0.55 + 0.45 * facing[k])) for x in s.color)
+        face = (red, green, blue, alpha * s.alpha)
+        out.append((float(corners[k, :, 2].mean()), Outline(corners[k, :, :2], face, face)))
+    return out
+
+
 def shadows(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, floor: float = 0.0,
     world: bool = True,
@@ -79,7 +96,7 @@ def shadows(
     """
     hulls = []
     for s in shapes:
-        if s.body >= 0 or world:
+        if s.triangles is None and (s.body >= 0 or world):
             hulls.append(_hull((s.placed(R, p) * [1, 1, 0] + [0, 0, floor]) @ camera.axes[:2].T))
     return [hull for hull in hulls if hull is not None]
 

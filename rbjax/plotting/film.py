@@ -22,6 +22,8 @@ from rbjax.plotting.solid_shapes import Solid
 Array = np.ndarray
 #: the number of frames from which the view is computed
 _PROBED = 60
+#: the number of samples of a batch from which the view is computed
+_SAMPLES = 16
 #: the camera follows the robot if it moves more than this many times its size
 _FAR = 4.0
 
@@ -82,6 +84,8 @@ class Film:
         paths: (n, F, 3), positions of bodies whose paths are drawn.
         strong: (n,), whether each path is of the first sample.
         arrows: (F, n, 2, 3), start and end of the arrows of contact forces; nan for none.
+        middle: (F, 3), the middle of the first sample.
+        follow: whether `centre` moves with the robot.
     """
 
     ts: Array
@@ -95,6 +99,8 @@ class Film:
     paths: Array
     strong: tuple[bool, ...] = ()
     arrows: Array | None = None
+    middle: Array | None = None
+    follow: bool = False
 
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:
@@ -160,9 +166,12 @@ def film(
     probed = np.unique(np.linspace(0, count - 1, min(count, _PROBED)).astype(int))
     if not shapes:
         raise InputError("nothing to draw: the model has no body with a size, the file no geom")
-    # (S, probed, n, 3): every point of every solid, and which of them move
-    points = np.concatenate([s.placed(R[:, probed], p[:, probed]) for s in shapes], axis=2)
-    moving = np.concatenate([np.full(len(s.points), s.body >= 0) for s in shapes])
+    # (S, probed, n, 3): the points of the solids of some samples, and which of them move
+    convex = [s for s in shapes if s.triangles is None] or list(shapes)
+    few = np.unique(np.linspace(0, samples - 1, min(samples, _SAMPLES)).astype(int))
+    at = R[few][:, probed], p[few][:, probed]
+    points = np.concatenate([s.placed(*at) for s in convex], axis=2)
+    moving = np.concatenate([np.full(len(s.points), s.body >= 0) for s in convex])
     camera = camera or facing(points.reshape(-1, 3))
     robot = points[:, :, moving] if moving.any() else points
     middle = robot.mean((0, 2))  # (probed, 3)
@@ -172,6 +181,7 @@ def film(
     extent = float(np.ptp(points.reshape(-1, 3), axis=0).max()) or 1.0
     if follow is None:
         follow = bool(across > _FAR * at_once)
+    own = np.stack([np.interp(np.arange(count), probed, x) for x in robot[0].mean(1).T], -1)
     if follow:
         centre = np.stack([np.interp(np.arange(count), probed, x) for x in middle.T], -1)
         reach = (robot - middle[:, None]) @ camera.axes[:2].T
@@ -183,15 +193,17 @@ def film(
         size = 1.1 * (high - low)[:2]
     lowest = float(robot[..., 2].min())
     floor = 0.0 if -0.01 * extent <= lowest <= 0.6 * extent else lowest - 0.05 * extent
+    terrain = [s.points[:, 2].min() for s in shapes if s.triangles is not None and s.body < 0]
+    floor = float(min(terrain)) - 1e-3 * extent if terrain else floor
     if not follow:
         size, centre = _with_floor(size, centre, camera, floor)
-    paths = np.array([p[s, :, model.body(name)] for name in trace for s in range(samples)])
-    size = np.maximum(size, 1e-6)
-    paths, strong = (
-        paths.reshape(-1, count, 3),
-        tuple(s == 0 for _ in trace for s in range(samples)),
+    traced = range(min(samples, _SAMPLES))
+    paths = np.array([p[s, :, model.body(name)] for name in trace for s in traced])
+    paths, size = paths.reshape(-1, count, 3), np.maximum(size, 1e-6)
+    strong = tuple(s == 0 for _ in trace for s in traced)
+    return Film(
+        ts, R, p, shapes, camera, floor, centre, size, paths, strong, middle=own, follow=follow
     )
-    return Film(ts, R, p, shapes, camera, floor, centre, size, paths, strong)
 
 
 def _with_floor(size: Array, centre: Array, camera: Camera, floor: float) -> tuple[Array, Array]:

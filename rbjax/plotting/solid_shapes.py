@@ -1,4 +1,4 @@
-"""Convex solids fixed to bodies, made from the geoms of a MuJoCo file."""
+"""Solids fixed to bodies, made from the geoms of a file or of a model: convex ones, and terrain."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 
@@ -29,6 +30,8 @@ class Solid:
     alpha: opacity.
     end: index of the body that carries the second half of the points, in its frame; None if all
         are in the frame of `body`.
+    triangles: (m, 3), indices of points, of a surface that is not convex, such as terrain; None for
+        the convex hull of the points.
     """
 
     points: Array
@@ -36,6 +39,7 @@ class Solid:
     color: tuple[float, float, float]
     alpha: float
     end: int | None = None
+    triangles: Array | None = None
 
     def placed(self, R: Array, p: Array) -> Array:
         """Compute the points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (...,
@@ -57,11 +61,13 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     """Make solids of the visible geoms of a robot, without floors.
 
     Args:
-        source: an argument of `rbjax.load`, or a model, which has no meshes.
+        source: an argument of `rbjax.load`, or a model. A model has the convex hulls of meshes that
+            may touch; if all other geoms of a body are meshes, its hidden geoms (groups above 2)
+            are drawn.
         floating_base: as in `rbjax.load`, for a URDF.
 
     Returns:
-        One `Solid` for each geom. A mesh becomes its convex hull.
+        One `Solid` for each geom. A mesh becomes its convex hull, a height field its surface.
 
     Raises:
         ModelError: the source is not a robot file.
@@ -72,7 +78,7 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
         3
     """
     if isinstance(source, Model):
-        return [] if source.geoms is None else _of_geoms(source.geoms)
+        return [] if source.geoms is None else _of_model(source.geoms)
     m = compile_model(source, floating_base=floating_base)
     k = m.geom_dataid
     hulls = {
@@ -82,19 +88,43 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     return _of_geoms(geoms_of(m, np.asarray), hulls)
 
 
-def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array] | None = None) -> list[Solid]:
+def _of_model(geoms: Geoms) -> list[Solid]:
+    """Make the solids of the geoms of a model, which has no visual meshes."""
+    geoms = jax.tree.map(np.asarray, geoms)
+    hulls = {i: hull.vertices for i, hull in enumerate(geoms.hulls) if hull is not None}
+    found = _of_geoms(geoms, hulls)
+    bare = {*geoms.bodies} - {s.body for s in found}
+    shown = geoms.replace(group=(0,) * len(geoms.types))
+    return found + [s for s in _of_geoms(shown, hulls) if s.body in bare]
+
+
+def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array]) -> list[Solid]:
     """Make the solids of geoms. hulls: geom index -> points of a mesh; other meshes are omitted."""
     out = []
     for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
-        points = (hulls or {}).get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
+        triangles = None
+        if kind == "hfield" and geoms.fields and geoms.fields[i] >= 0:
+            points, triangles = _terrain(geoms.heights[geoms.fields[i]], *geoms.size[i, :2])
+        else:
+            points = hulls.get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
         *color, alpha = geoms.rgba[i]
         if points is None or geoms.group[i] > 2 or alpha <= 0:
             continue
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, np.asarray(geoms.orientation[i], np.float64))
         placed = points @ R.reshape(3, 3).T + np.asarray(geoms.position[i])
-        out.append(Solid(placed, body, (color[0], color[1], color[2]), alpha))
+        out.append(Solid(placed, body, (color[0], color[1], color[2]), alpha, None, triangles))
     return out
+
+
+def _terrain(heights: Array, x: float, y: float) -> tuple[Array, Array]:
+    """Return points (n, 3) and triangles (m, 3) of a height field with half sides x and y."""
+    rows, columns = heights.shape
+    at = np.meshgrid(np.linspace(-x, x, columns), np.linspace(-y, y, rows))
+    points = np.stack([*at, np.asarray(heights, float)], -1).reshape(-1, 3)
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    a, b, c, d = corner, corner + 1, corner + columns, corner + columns + 1
+    return points, np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)])
 
 
 def sphere(radius: float) -> Array:
