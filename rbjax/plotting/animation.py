@@ -47,8 +47,9 @@ def animate(
 
     Without `source` the robot is drawn from its parameters, as rods from joint to joint and
     ellipsoids of inertia. The suffix of the file determines the format: .gif; .mp4, which requires
-    ffmpeg; or .html, a self-contained page (WebGL 2) in which the mouse turns the view, with controls
-    for speed, the camera, contact forces and ghosts: the other samples of a batch, up to thousands.
+    ffmpeg; or .html, a self-contained page (WebGL 2). In the page the mouse turns the view. It has
+    controls for speed, the camera, contact forces, and ghosts: the other samples of a batch, up to
+    thousands.
 
     Args:
         model: the robot that moved.

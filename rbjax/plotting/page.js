@@ -327,7 +327,7 @@ function arrows(scene, frame, eye) {
     gl.uniform1f(P.at.radius, radius);
     gl.uniform1i(P.at.head, head);
     gl.uniform4fv(P.at.tint, tint);
-    const count = Math.floor((4 * data.length - 12) / stride);
+    const count = head ? data.length / 6 : data.length / 3 - 1;
     if (count > 0) gl.drawArraysInstanced(gl.TRIANGLES, 0, scene.corners, count);
   };
   if ($("forces").checked) {

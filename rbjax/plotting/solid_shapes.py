@@ -102,9 +102,11 @@ def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array]) -> list[Solid]:
     """Make the solids of geoms. hulls: geom index -> points of a mesh; other meshes are omitted."""
     out = []
     for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
-        triangles = None
+        points: Array | None
+        triangles: Array | None = None
         if kind == "hfield" and geoms.fields and geoms.fields[i] >= 0:
-            points, triangles = _terrain(geoms.heights[geoms.fields[i]], *geoms.size[i, :2])
+            heights = np.asarray(geoms.heights[geoms.fields[i]])
+            points, triangles = _terrain(heights, *geoms.size[i, :2])
         else:
             points = hulls.get(i) if kind == "mesh" else _surface(kind, *geoms.size[i])
         *color, alpha = geoms.rgba[i]

@@ -1,12 +1,13 @@
 """Triangles of solids: convex hulls with normals, for viewers that shade surfaces.
 
-A vertex has the mean normal of the faces around it that differ by less than 35 degrees (50 if the
-surface is coarse). So spheres are smooth, and edges of boxes are sharp. Vertices on an edge are
-repeated, once for each normal.
+A vertex has the mean normal of the faces around it, weighted by their angles at the vertex, that
+differ by less than 35 degrees (75 if the surface is coarse). So spheres are smooth, and edges of
+boxes are sharp. Vertices on an edge are repeated, once for each normal.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,9 @@ from rbjax.plotting.solid_shapes import Solid
 
 Array = np.ndarray
 #: largest angle between faces that are shaded as one smooth surface, degrees
-_CREASE, _COARSE_CREASE = 35.0, 50.0
+_CREASE, _COARSE_CREASE = 35.0, 75.0
 #: directions of the points that a coarse hull keeps: corners, edges and faces of a cube
-_DIRECTIONS = np.array(
-    [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)],
-    float,
-)  # fmt: skip
+_DIRECTIONS = np.array([x for x in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(x)])
 
 
 @dataclass(frozen=True)
@@ -84,16 +82,15 @@ def _outward(points: Array, hull: ConvexHull) -> Array:
     return triangles
 
 
-def _with_normals(
-    points: Array, triangles: Array, crease: float
-) -> tuple[Array, Array, Array]:
+def _with_normals(points: Array, triangles: Array, crease: float) -> tuple[Array, Array, Array]:
     """Compute the normals of the corners of triangles. crease: degrees.
 
     Returns the point of each vertex (n,), its normal (n, 3), and the triangles as vertices (m, 3).
     """
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    area = np.cross(b - a, c - a)
-    flat = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-300)
+    at = points[triangles]  # (m, 3, 3)
+    flat = _units(np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]))
+    to, back = _units(np.roll(at, -1, 1) - at), _units(np.roll(at, 1, 1) - at)
+    angle = np.arccos(np.clip((to * back).sum(-1), -1, 1)).ravel()
     corner = triangles.ravel()  # (3 m,), the point of each corner
     face = np.repeat(np.arange(len(triangles)), 3)
     order = np.argsort(corner, kind="stable")
@@ -103,8 +100,12 @@ def _with_normals(
         here = order[starts[k] : starts[k + 1]]
         faces = face[here]
         near = flat[faces] @ flat[faces].T > least
-        normals[here] = near @ area[faces]
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
+        normals[here] = near @ (angle[here, None] * flat[faces])
+    normals = _units(normals)
     rows = np.concatenate([corner[:, None], np.round(1000 * normals)], -1)
     _, first, vertices = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     return corner[first], normals[first], vertices.reshape(-1, 3)
+
+
+def _units(x: Array) -> Array:
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-300)

@@ -16,7 +16,6 @@ import base64
 import html
 import json
 import zlib
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.plotting.film import Film
-from rbjax.plotting.surfaces import Surface, surface
+from rbjax.plotting.surfaces import surface
 from rbjax.rotations import quaternion
 from rbjax.style import RED
 
@@ -46,6 +45,7 @@ def write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) 
         fps: frames per second.
         speed: seconds of motion per second of the page.
     """
+
     def read(name: str) -> str:
         return resources.files("rbjax.plotting").joinpath(name).read_text()
 
