@@ -1,0 +1,184 @@
+"""Checkpoints of policies: a folder with the task, the settings and the parameters.
+
+FOLDER/policy.json    the task's name and options, the settings, the sizes of the networks
+FOLDER/parameters     the arrays, by orbax
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.envs.learning.networks import Network, Normaliser
+from rbjax.envs.learning.policy import Policy
+from rbjax.envs.registry import make
+from rbjax.errors import InputError
+
+FORMAT = 1
+
+
+def save_policy(
+    path: str | Path,
+    policy: Policy,
+    task: str,
+    options: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write a policy to a folder, with the name of its task.
+
+    Args:
+        path: the folder. An earlier checkpoint there is replaced.
+        policy: a `Policy` whose network is a `Network`.
+        task: name of the task, as for `rb.envs.make`.
+        options: options of the task.
+        settings: settings of the training, for the record.
+
+    Returns:
+        The path of the folder.
+
+    Raises:
+        InputError: orbax is not installed, a policy of another kind, or options that JSON cannot
+            represent.
+
+    Example:
+        >>> import jax, tempfile
+        >>> import rbjax as rb
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> policy = rb.envs.learning.new_policy(env, jax.random.key(0), (8,))
+        >>> folder = tempfile.mkdtemp()
+        >>> path = rb.envs.learning.save_policy(folder, policy, "cart_pole_balance")
+        >>> env, policy = rb.envs.learning.load_policy(path)
+        >>> policy.network.sizes
+        (5, 8, 1)
+    """
+    if not isinstance(policy, Policy) or not isinstance(policy.network, Network):
+        kind = type(policy.network if isinstance(policy, Policy) else policy).__name__
+        raise InputError(
+            f"save_policy: the policy's network is {kind}, expected a Policy with a network of "
+            "rb.envs.learning.network"
+        )
+    folder = Path(path).expanduser().absolute()
+    head = {
+        "format": FORMAT,
+        "task": task,
+        "options": dict(options or {}),
+        "settings": dict(settings or {}),
+        "policy": {
+            "sizes": policy.network.sizes,
+            "activation": policy.network.activation,
+            "actions": policy.low.shape[0],
+            "squash": policy.squash,
+            "limit": None if policy.normaliser is None else policy.normaliser.limit,
+            "normalised": policy.normaliser is not None,
+            "noise": policy.log_std is not None,
+        },
+    }
+    try:
+        text = json.dumps(head, indent=1, default=_plain)
+    except TypeError as error:
+        raise InputError(f"save_policy: options or settings are not plain data: {error}") from error
+    checkpointer = _orbax("save_policy")
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder / "parameters", ignore_errors=True)
+    checkpointer.save(folder / "parameters", _arrays(policy))
+    (folder / "policy.json").write_text(text + "\n")
+    return folder
+
+
+def load_policy(path: str | Path) -> tuple[Any, Policy]:
+    """Read a policy from a folder that `train` or `save_policy` wrote.
+
+    Args:
+        path: the folder.
+
+    Returns:
+        env: the `Environment` of the policy's task.
+        policy: `Policy`; `policy(obs, key)` returns an action, without a key the mean action.
+
+    Raises:
+        InputError: not such a folder, or orbax is not installed.
+
+    Example:
+        `save_policy` has one.
+    """
+    folder = Path(path).expanduser().absolute()
+    file = folder / "policy.json"
+    if not file.is_file():
+        raise InputError(
+            f"load_policy: {path} has no policy.json, expected a folder that rbjax train or "
+            "save_policy wrote"
+        )
+    head = json.loads(file.read_text())
+    if head.get("format") != FORMAT:
+        raise InputError(
+            f"load_policy: {path} has format {head.get('format')}, expected {FORMAT}; train again "
+            "with this version of rbjax"
+        )
+    policy = _like(head["policy"])
+    arrays = _orbax("load_policy").restore(folder / "parameters", _arrays(policy))
+    arrays = {name: jnp.asarray(x) for name, x in arrays.items()}
+    network = Network(
+        tuple(arrays[f"weight_{k}"] for k in range(len(policy.network.weights))),
+        tuple(arrays[f"bias_{k}"] for k in range(len(policy.network.biases))),
+        policy.network.activation,
+    )
+    statistics = policy.normaliser
+    if statistics is not None:
+        fields = (arrays[name] for name in ("mean", "std", "count"))
+        statistics = Normaliser(*fields, statistics.limit)
+    made = Policy(
+        network, statistics, arrays.get("log_std"), arrays["low"], arrays["high"], policy.squash
+    )
+    return make(head["task"], **head["options"]), made
+
+
+def _like(head: Mapping[str, Any]) -> Policy:
+    """Return a policy of the same structure, with zeros."""
+    sizes = head["sizes"]
+    zeros = tuple(jnp.zeros(n) for n in sizes[1:])
+    weights = tuple(jnp.zeros((b, a)) for a, b in itertools.pairwise(sizes))
+    na = head["actions"]
+    statistics = None
+    if head["normalised"]:
+        statistics = Normaliser(
+            jnp.zeros(sizes[0]), jnp.ones(sizes[0]), jnp.zeros(()), head["limit"]
+        )
+    noise = jnp.zeros(na) if head["noise"] else None
+    net = Network(weights, zeros, head["activation"])
+    return Policy(net, statistics, noise, jnp.zeros(na), jnp.zeros(na), head["squash"])
+
+
+def _arrays(policy: Policy) -> dict[str, np.ndarray]:
+    found = {f"weight_{k}": W for k, W in enumerate(policy.network.weights)}
+    found |= {f"bias_{k}": b for k, b in enumerate(policy.network.biases)}
+    found |= {"low": policy.low, "high": policy.high}
+    if policy.normaliser is not None:
+        found |= {name: getattr(policy.normaliser, name) for name in ("mean", "std", "count")}
+    if policy.log_std is not None:
+        found["log_std"] = policy.log_std
+    return {name: np.asarray(x) for name, x in found.items()}  # they load on any device
+
+
+def _orbax(where: str) -> Any:
+    try:
+        import orbax.checkpoint as orbax
+    except ImportError as error:
+        raise InputError(
+            f"{where}: orbax-checkpoint is not installed, expected it for checkpoints; "
+            "pip install 'rbjax[envs]'"
+        ) from error
+    return orbax.PyTreeCheckpointer()
+
+
+def _plain(x: Any) -> Any:
+    """Convert an array to lists, for JSON."""
+    if hasattr(x, "tolist"):
+        return x.tolist()
+    raise TypeError(f"{type(x).__name__} {x!r}")

@@ -1,0 +1,132 @@
+"""Compiled loops of a training: chunks of iterations, on one device or several.
+
+    x_0 = begin(...),    x_{k+1}, figures_k = turn(x_k)
+
+A chunk is one program of `lax.scan`. Between chunks the training reports its progress, and may stop
+at a limit of time. On several devices each has a part of the samples (`shard_map`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from rbjax.compiler import fast_compile
+from rbjax.errors import InputError
+
+AXIS = "samples"  # of the mesh of devices
+SAME, EACH = PartitionSpec(), PartitionSpec(AXIS)
+
+#: On a GPU, XLA autotunes matrix products for 5 s and optimises kernels for 3 s. That is longer
+#: than a short training of a small policy.
+UNMEASURED = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
+OPTIMISED_FROM = 2000
+
+
+def devices_of(where: str, given: int | Sequence[Any] | None, batch: int) -> tuple[Any, ...]:
+    """Return the devices of a training.
+
+    Args:
+        where: function, for the message.
+        given: number of devices, the devices themselves, or None for one.
+        batch: number of samples; each device has an equal part of them.
+
+    Raises:
+        InputError: more devices than there are, or a batch that they do not divide.
+    """
+    present = jax.devices()
+    if given is None or isinstance(given, int):
+        count = 1 if given is None else given
+        if not 1 <= count <= len(present):
+            raise InputError(
+                f"{where}: devices is {given}, expected 1 to {len(present)}, the number of devices "
+                f"of the {present[0].platform} platform"
+            )
+        found = tuple(present[:count])
+    else:
+        found = tuple(given)
+    if not found or batch % len(found):
+        raise InputError(
+            f"{where}: a batch of {batch} on {len(found)} devices, expected a multiple of their "
+            "number"
+        )
+    return found
+
+
+def over_devices(devices: Sequence[Any]) -> tuple[Callable, Callable]:
+    """Return the mean of a value over the devices, and the part of a key that each has."""
+    if len(devices) == 1:
+        return lambda x: x, lambda key: key
+    return (
+        lambda x: jax.lax.pmean(x, AXIS),
+        lambda key: jax.random.fold_in(key, jax.lax.axis_index(AXIS)),
+    )
+
+
+def run_iterations(
+    turn: Callable,
+    begin: Callable,
+    given: tuple,
+    iterations: int,
+    *,
+    layout: Any,
+    devices: Sequence[Any],
+    chunks: int,
+    report: Callable[[int, Any, dict[str, np.ndarray]], None],
+    seconds: float | None = None,
+) -> tuple[Any, dict[str, np.ndarray]]:
+    """Run a training.
+
+    Args:
+        turn: (state, iteration) -> (state, figures), with figures a dict name -> number.
+        begin: given -> state.
+        given: arguments of `begin`.
+        iterations: number of iterations.
+        layout: a tree prefix of the state: `EACH` for arrays that are split over the devices by
+            their first axis, `SAME` for arrays that all devices have.
+        devices: where to run.
+        chunks: number of programs one after the other, each with a report.
+        report: function (iterations so far, state, figures of the chunk).
+        seconds: limit of time; the training ends with the chunk that crosses it.
+
+    Returns:
+        The last state, and the figures of all iterations, each (iterations,).
+    """
+    started = time.perf_counter()
+    quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
+    jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
+    most = max(1, iterations // chunks)
+    length = max(n for n in range(1, most + 1) if iterations % n == 0)
+
+    def several(state: Any, first: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+        return jax.lax.scan(turn, state, first + jnp.arange(length))
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(fast_compile(quick))
+        if len(devices) > 1:
+            mesh = Mesh(np.array(devices), (AXIS,))
+            shard = functools.partial(jax.shard_map, mesh=mesh, check_vma=False)
+            begin = shard(begin, in_specs=SAME, out_specs=layout)
+            several = shard(several, in_specs=(layout, SAME), out_specs=(layout, SAME))
+        else:
+            stack.enter_context(jax.default_device(devices[0]))
+        state = jit(begin)(*given)
+        run = jit(several)
+        rows: list[dict[str, np.ndarray]] = []
+        done = 0
+        while done < iterations:
+            state, figures = run(state, jnp.asarray(done))
+            rows.append(jax.tree.map(np.asarray, figures))
+            done += length
+            report(done, state, rows[-1])
+            if seconds is not None and time.perf_counter() - started > seconds:
+                break
+    return state, {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}

@@ -1,0 +1,168 @@
+"""Proximal policy optimisation (PPO), by Brax.
+
+    L = E[min(r A, clip(r, 1 - e, 1 + e) A)],      r = pi(a | o) / pi_old(a | o)
+
+Brax trains; rbjax simulates. The trained networks become a `Policy` and a `Critic` of rbjax, so
+that checkpoints, gradients and controllers need no Brax.
+Sources: Schulman et al., *Proximal policy optimization algorithms*, 2017; Freeman et al., *Brax*,
+2021.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import integer
+from rbjax.envs.learning.brax_training import (
+    BraxBatch,
+    brax_modules,
+    convert_critic,
+    convert_policy,
+    names_of_jax,
+)
+from rbjax.envs.learning.checks import check_training
+from rbjax.envs.learning.critic import Critic
+from rbjax.envs.learning.policy import Policy
+from rbjax.envs.learning.trained import Report, Trained, no_report
+from rbjax.errors import InputError
+
+
+class TimeIsUp(Exception):
+    """The limit of time is over; Brax stops."""
+
+
+def ppo(
+    env: Any,
+    key: jax.Array,
+    *,
+    steps: int = 20_000_000,
+    num_envs: int = 2048,
+    policy_hidden: tuple[int, ...] = (128, 128, 128),
+    value_hidden: tuple[int, ...] = (256, 256, 256),
+    discounting: float = 0.97,
+    reward_scaling: float = 1.0,
+    devices: int | None = None,
+    reports: int = 10,
+    evaluations: int = 128,
+    report: Report = no_report,
+    seconds: float | None = None,
+    restore: Any = None,
+    keep: Callable[[dict[str, Any]], None] = lambda parameters: None,
+    **settings: Any,
+) -> Trained:
+    """Train a policy by PPO of Brax.
+
+    Use it for tasks whose rewards or contacts have no useful gradient, and as a baseline.
+
+    Args:
+        env: `rb.envs.Environment`.
+        key: of `jax.random`.
+        steps: steps of the robot in the training, at least.
+        num_envs: number of parallel samples.
+        policy_hidden, value_hidden: sizes of the hidden layers.
+        discounting: g of a step.
+        reward_scaling: factor of the rewards inside PPO.
+        devices: number of devices that share the samples; None for one.
+        reports: number of evaluations during the training, each with a report.
+        evaluations: number of episodes of an evaluation.
+        report: function (steps so far, figures, policy), called after each evaluation.
+        seconds: limit of time, after which the training ends with the next report; None for none.
+        restore: Brax' parameters of an earlier training, to continue from; None for none.
+        keep: function that is given {"parameters": Brax' parameters} before each report.
+        settings: further arguments of `brax.training.agents.ppo.train.train`, such as
+            `unroll_length`, `batch_size`, `num_minibatches`, `num_updates_per_batch`,
+            `learning_rate`, `entropy_cost`, `clipping_epsilon`, `max_grad_norm`.
+
+    Returns:
+        `Trained`; `rewards` are the returns of the evaluations.
+
+    Raises:
+        InputError: Brax is not installed, or settings that do not fit each other.
+
+    Source: Schulman et al., *Proximal policy optimization algorithms*, 2017.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.learning.settings("cart_pole_balance", "ppo", "gpu")["unroll_length"]
+        30
+    """
+    check_training("ppo", env, key, 1, num_envs, None)
+    integer("ppo", "steps", steps, least=1)
+    integer("ppo", "reports", reports, least=1)
+    batch = settings.get("batch_size", 32) * settings.get("num_minibatches", 16)
+    if batch % num_envs:
+        raise InputError(
+            f"ppo: batch_size * num_minibatches is {batch}, expected a multiple of num_envs, "
+            f"{num_envs}"
+        )
+    brax_train, networks, State = brax_modules()
+    grouped = isinstance(env.observation_size, dict)
+    critic_group = "critic" if grouped and "critic" in env.observation_size else "policy"
+    factory = functools.partial(
+        networks.make_ppo_networks,
+        policy_hidden_layer_sizes=tuple(policy_hidden),
+        value_hidden_layer_sizes=tuple(value_hidden),
+        **({"policy_obs_key": "policy", "value_obs_key": critic_group} if grouped else {}),
+    )
+    began, rewards, last = time.perf_counter(), [], {}
+
+    def remember(done: int, make: Any, parameters: Any) -> None:
+        last["parameters"] = parameters
+        keep({"parameters": parameters})
+
+    def convert() -> tuple[Policy, Critic]:
+        made = convert_policy(env, last["parameters"])
+        factor = (1 - discounting) / reward_scaling
+        return made, convert_critic(last["parameters"], critic_group, factor)
+
+    def progress(done: int, metrics: Mapping[str, Any]) -> None:
+        figures = figures_of(metrics)
+        rewards.append(figures["reward"])
+        report(int(done), figures, convert()[0] if last else None)
+        if seconds is not None and done and time.perf_counter() - began > seconds:
+            raise TimeIsUp
+
+    seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
+    try:
+        with names_of_jax():
+            _, parameters, _ = brax_train(
+                environment=BraxBatch(env, State), wrap_env=False, num_timesteps=steps,
+                num_envs=num_envs, episode_length=env.episode, network_factory=factory,
+                normalize_observations=True, discounting=discounting,
+                reward_scaling=reward_scaling, seed=seed, num_evals=reports + 1,
+                num_eval_envs=evaluations, deterministic_eval=True, progress_fn=progress,
+                policy_params_fn=remember, max_devices_per_host=devices or 1,
+                restore_params=restore, **settings,
+            )  # fmt: skip
+        last["parameters"] = parameters
+    except TimeIsUp:
+        pass
+    policy, critic = convert()
+    return Trained(policy, critic, np.asarray(rewards), jnp.zeros((), int))
+
+
+def figures_of(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return the figures of an evaluation by Brax as one row.
+
+    "reward", "reward_std": return of an episode, its mean and standard deviation. "length": steps
+    of an episode. "reward/NAME": mean sum of a reward term. "training/NAME": of PPO.
+    """
+    named = {
+        "reward": metrics.get("eval/episode_reward", np.nan),
+        "reward_std": metrics.get("eval/episode_reward_std", np.nan),
+        "length": metrics.get("eval/avg_episode_length", np.nan),
+    }
+    for name, x in metrics.items():
+        if name.startswith("eval/episode_") and not name.endswith("_std"):
+            term = name.removeprefix("eval/episode_")
+            named |= {} if term == "reward" else {f"reward/{term}": x}
+        elif name.startswith("training/"):
+            named[name] = x
+    return {name: float(x) for name, x in named.items()}

@@ -1,0 +1,98 @@
+"""Settings of trainings, by task and algorithm.
+
+The settings of PPO for Go1, G1, Panda and cart-pole are those of MuJoCo Playground 0.2 (Zakka et
+al. 2025, `config/locomotion_params.py`, `manipulation_params.py`, `dm_control_suite_params.py`).
+Those of a CPU and of SHAC are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+
+from rbjax.errors import UnknownName
+
+ALGORITHMS = ("ppo", "shac")
+
+#: PPO: arguments of `rbjax.envs.learning.ppo`
+PPO: dict[str, Any] = {
+    "steps": 20_000_000, "num_envs": 2048, "unroll_length": 20, "batch_size": 256,
+    "num_minibatches": 32, "num_updates_per_batch": 4, "discounting": 0.97, "learning_rate": 3e-4,
+    "entropy_cost": 1e-2, "reward_scaling": 1.0, "max_grad_norm": 1.0, "reports": 10,
+    "policy_hidden": (128, 128, 128), "value_hidden": (256, 256, 256),
+}  # fmt: skip
+CART_POLE = {
+    "steps": 60_000_000, "num_envs": 2048, "unroll_length": 30, "batch_size": 1024,
+    "num_minibatches": 32, "num_updates_per_batch": 16, "discounting": 0.995,
+    "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0, "max_grad_norm": None,
+    "policy_hidden": (32,) * 4, "value_hidden": (256,) * 5,
+}  # fmt: skip
+GO1 = {
+    "steps": 200_000_000, "num_envs": 8192, "unroll_length": 20, "batch_size": 256,
+    "num_minibatches": 32, "num_updates_per_batch": 4, "discounting": 0.97, "learning_rate": 3e-4,
+    "entropy_cost": 1e-2, "max_grad_norm": 1.0, "reports": 10,
+    "policy_hidden": (512, 256, 128), "value_hidden": (512, 256, 128),
+}  # fmt: skip
+G1 = GO1 | {"entropy_cost": 5e-3, "clipping_epsilon": 0.2, "reports": 20}
+PANDA = {
+    "steps": 20_000_000, "num_envs": 2048, "unroll_length": 10, "batch_size": 512,
+    "num_minibatches": 32, "num_updates_per_batch": 8, "discounting": 0.97, "learning_rate": 1e-3,
+    "entropy_cost": 2e-2, "max_grad_norm": None, "reports": 8,
+    "policy_hidden": (32,) * 4, "value_hidden": (32,) * 4,
+}  # fmt: skip
+#: for a core of a CPU: small networks and few samples
+CPU_PPO = {
+    "steps": 400_000, "num_envs": 64, "unroll_length": 20, "batch_size": 64, "num_minibatches": 8,
+    "num_updates_per_batch": 4, "learning_rate": 1e-3, "reports": 5,
+    "policy_hidden": (32, 32), "value_hidden": (64, 64),
+}  # fmt: skip
+
+#: SHAC: arguments of `rbjax.envs.learning.shac`; steps = iterations * batch * horizon
+SHAC: dict[str, Any] = {
+    "steps": 2_000_000, "batch": 256, "horizon": 32, "discount": 0.99, "trace": 0.95,
+    "rate": 2e-3, "critic_rate": 2e-3, "critic_steps": 16, "hidden": (128, 64), "reports": 20,
+}  # fmt: skip
+CART_POLE_SHAC = {
+    "steps": 1_000_000, "batch": 128, "rate": 1e-2, "critic_rate": 2e-3, "hidden": (32, 16),
+    "std": 0.2, "discount": 0.99,
+}  # fmt: skip
+
+TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
+    "cart_pole_balance": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
+    "cart_pole_swing_up": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
+    "go1_joystick_flat": {"ppo": GO1},
+    "go1_joystick_rough": {"ppo": GO1},
+    "g1_joystick": {"ppo": G1},
+    "panda_pick_cube": {"ppo": PANDA},
+}
+
+
+def settings(task: str, algorithm: str = "ppo", backend: str | None = None) -> dict[str, Any]:
+    """Return the settings of a training.
+
+    Args:
+        task: name of a task; a task without settings of its own has the general ones.
+        algorithm: "ppo" or "shac".
+        backend: "cpu", "gpu"; None for the present one. A CPU has smaller settings.
+
+    Returns:
+        Arguments of `ppo` or of `shac`, and "steps", the steps of the robot in the training.
+
+    Raises:
+        UnknownName: no such algorithm.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.learning.settings("go1_joystick_flat", backend="gpu")["num_envs"]
+        8192
+    """
+    if algorithm not in ALGORITHMS:
+        raise UnknownName("algorithm", algorithm, ALGORITHMS)
+    backend = jax.default_backend() if backend is None else backend
+    own = TASKS.get(task, {})
+    found = (PPO if algorithm == "ppo" else SHAC) | dict(own.get(algorithm, {}))
+    if backend == "cpu":
+        found |= own.get(f"{algorithm} cpu", CPU_PPO if algorithm == "ppo" and not own else {})
+    return found

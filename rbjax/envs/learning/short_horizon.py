@@ -1,0 +1,198 @@
+"""SHAC: a policy trained by gradients through a short horizon of an environment, with a value
+function.
+
+    theta <- theta + a dJ/dtheta,   J = E[(1 - g) sum_{k<h} g^k r_k + g^h V'(o_h)]
+
+The gradient passes through policy, physics, contacts and rewards by reverse-mode differentiation
+and is exact. It stops at the end of an episode. The value function V approximates all rewards
+after h steps. V' is a slowly updated copy of it.
+Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, 2022.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+
+from rbjax.arguments import integer, real_number
+from rbjax.envs.learning.checks import check_training
+from rbjax.envs.learning.critic import fit_critic, follow, new_critic, weights_of
+from rbjax.envs.learning.iterations import EACH, SAME, devices_of, over_devices, run_iterations
+from rbjax.envs.learning.policy import as_policy, new_policy, split_policy
+from rbjax.envs.learning.samples import Samples, draw_samples, figures_of, move_samples
+from rbjax.envs.learning.targets import objective, value_targets
+from rbjax.envs.learning.trained import Report, Trained, no_report, summary_of
+from rbjax.envs.learning.updates import apply_update, falling_rate, policy_optimiser
+
+
+class Training(NamedTuple):
+    """The state of the training between two iterations."""
+
+    policy: Any
+    critic: Any
+    slow: Any
+    policy_memory: Any
+    critic_memory: Any
+    key: jax.Array
+    skipped: jax.Array
+    samples: Samples
+
+
+LAYOUT = Training(*[SAME] * 7, samples=EACH)
+
+
+def shac(
+    env: Any,
+    key: jax.Array,
+    policy: Any = None,
+    *,
+    critic: Any = None,
+    iterations: int = 300,
+    batch: int = 256,
+    horizon: int = 32,
+    discount: float = 0.99,
+    trace: float = 0.95,
+    rate: float = 3e-3,
+    critic_rate: float = 2e-3,
+    critic_steps: int = 8,
+    slow: float = 0.2,
+    warm_up: int = 0,
+    hidden: tuple[int, ...] = (64, 64),
+    std: float | None = 0.4,
+    optimiser: Any = None,
+    params: Any = None,
+    devices: Any = None,
+    reports: int = 1,
+    report: Report = no_report,
+    seconds: float | None = None,
+) -> Trained:
+    """Train a policy by short-horizon actor-critic (SHAC), with gradients through the environment.
+
+    Use it for tasks with smooth rewards: it needs fewer steps of the robot than PPO.
+
+    Args:
+        env: `rb.envs.Environment`.
+        key: of `jax.random`, for the samples, the noise and untrained networks.
+        policy: a `Policy`, or a callable pytree (o,) -> (na,), whose arrays are trained; None for a
+            `new_policy`.
+        critic: a `Critic`, the value function at the beginning; None for an untrained one.
+        iterations: number of updates of the policy.
+        batch: number of parallel samples.
+        horizon: h, the number of steps of a sample in an iteration.
+        discount: g of a step.
+        trace: l of the targets of the value function, TD(l).
+        rate, critic_rate: initial learning rates of Adam, with cosine decay to a tenth.
+        critic_steps: updates of the value function in an iteration, each on the whole batch.
+        slow: the update of V' in an iteration is V' + slow (V - V').
+        warm_up: iterations at the beginning that update the value function only. Use it if the
+            policy is already trained.
+        hidden: sizes of the hidden layers of a new policy and a new critic.
+        std: noise of a new policy, the standard deviation before tanh; None for no noise.
+        optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients
+            clipped to norm 1.
+        params: parameters of the environment; None for `env.default_params`.
+        devices: number of devices, or a list of them, that share the batch; None for one.
+        reports: number of reports.
+        report: function (steps so far, figures, policy), called for each report.
+        seconds: limit of time, after which the training ends with the next report; None for none.
+
+    Returns:
+        `Trained`.
+
+    Raises:
+        InputError: a policy of other sizes or without floating-point arrays; values out of range.
+
+    Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, ICLR
+    2022, algorithm 1.
+
+    Example:
+        >>> import jax
+        >>> import rbjax as rb
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> found = rb.envs.learning.shac(
+        ...     env, jax.random.key(0), iterations=1, batch=2, horizon=2, hidden=(4,))
+        >>> found.rewards.shape
+        (1,)
+    """
+    where = "shac"
+    check_training(where, env, key, iterations, batch, optimiser)
+    integer(where, "horizon", horizon, least=1)
+    integer(where, "critic_steps", critic_steps, least=0)
+    integer(where, "warm_up", warm_up, least=0)
+    integer(where, "reports", reports, least=1)
+    for name, x in (("discount", discount), ("trace", trace), ("slow", slow)):
+        real_number(where, name, x, least=0.0, most=1.0)
+    for name, x in (("rate", rate), ("critic_rate", critic_rate)):
+        real_number(where, name, x, above=0.0)
+    where_to_run = devices_of(where, devices, batch)
+    mean, own_key = over_devices(where_to_run)
+    parts = len(where_to_run)
+    params = env.default_params if params is None else params
+    key, one, two = jax.random.split(key, 3)
+    policy = new_policy(env, one, hidden, std=std) if policy is None else policy
+    policy = as_policy(where, env, policy)
+    critic = new_critic(env, two, hidden) if critic is None else critic
+    if optimiser is None:
+        optimiser = policy_optimiser(rate, iterations)
+    fitter = optax.flatten(optax.adam(falling_rate(critic_rate, iterations * max(1, critic_steps))))
+    curriculum = env.task.curriculum
+    given, static = eqx.partition((policy, critic), eqx.is_array)
+
+    def params_at(k: jax.Array) -> Any:
+        return params if curriculum is None else curriculum(params, k / iterations)
+
+    def turn(now: Training, k: jax.Array) -> tuple[Training, dict[str, jax.Array]]:
+        key, other = jax.random.split(now.key)
+        acting, critic = eqx.combine((now.policy, now.critic), static)
+        behind = eqx.combine(now.slow, static[1])
+        numbers, rest = split_policy(acting)
+
+        def loss(numbers: Any) -> tuple:
+            samples, path = move_samples(
+                env, eqx.combine(numbers, rest), now.samples, own_key(other), horizon, params_at(k)
+            )
+            values = jax.vmap(jax.vmap(behind))(path.seen)
+            J = objective(path.rewards, values, path.done, path.ended, discount)
+            return -J.mean(), (samples, path, values)
+
+        slope, (samples, path, values) = jax.grad(loss, has_aux=True)(numbers)
+        numbers, memory, fine = apply_update(
+            optimiser, mean(slope), now.policy_memory, numbers, k >= warm_up
+        )
+        targets = value_targets(path.rewards, values, path.done, path.ended, discount, trace)
+        critic, critic_memory = fit_critic(
+            critic, now.critic_memory, fitter, path.obs, targets, critic_steps, mean
+        )
+        behind = follow(behind, critic, slow)
+        acting = eqx.combine(numbers, rest)
+        learned = [part.include(path.obs, mean, parts) for part in (acting, critic, behind)]
+        skipped = now.skipped + (1 - fine.astype(int))
+        after = Training(
+            *eqx.filter(learned, eqx.is_array), memory, critic_memory, key, skipped, samples
+        )
+        return after, {name: parts * mean(x) for name, x in figures_of(path, parts).items()}
+
+    def begin(policy: Any, critic: Any, key: jax.Array) -> Training:
+        one, two = jax.random.split(key)
+        samples = draw_samples(env, own_key(one), batch // parts, params_at(jnp.asarray(0)))
+        learned = eqx.combine((policy, critic), static)
+        policy, critic = (part.include(samples.obs, mean, parts) for part in learned)
+        memory = optimiser.init(split_policy(policy)[0])
+        arrays = eqx.filter((policy, critic, critic), eqx.is_array)
+        skipped = jnp.zeros((), int)
+        return Training(*arrays, memory, fitter.init(weights_of(critic)), two, skipped, samples)
+
+    def told(done: int, now: Training, figures: dict) -> None:
+        policy = eqx.combine(now.policy, static[0])
+        report(done * batch * horizon, summary_of(figures), policy)
+
+    last, figures = run_iterations(
+        turn, begin, (*given, key), iterations, layout=LAYOUT, devices=where_to_run,
+        chunks=reports, report=told, seconds=seconds,
+    )  # fmt: skip
+    policy, critic = eqx.combine((last.policy, last.critic), static)
+    return Trained(policy, critic, figures["reward"], last.skipped)

@@ -1,0 +1,109 @@
+"""`train`: a policy for a named task, with its settings, progress, table, chart and checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from rbjax.arguments import flag, integer, real_number
+from rbjax.envs.environment import Environment
+from rbjax.envs.learning.checkpoint import save_policy
+from rbjax.envs.learning.ppo import ppo
+from rbjax.envs.learning.report import Monitor
+from rbjax.envs.learning.settings import ALGORITHMS, settings
+from rbjax.envs.learning.short_horizon import shac
+from rbjax.envs.learning.trained import Trained
+from rbjax.envs.registry import make
+from rbjax.errors import InputError, UnknownName
+
+
+def train(
+    task: str | Environment,
+    algorithm: str = "ppo",
+    *,
+    steps: int | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    devices: int | None = None,
+    seconds: float | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: bool = True,
+    **changes: Any,
+) -> Trained:
+    """Train a policy for a task.
+
+    Use it for a task of the registry with its settings. The learners themselves are `ppo` and
+    `shac`.
+
+    Args:
+        task: name of a task (`rb.envs.tasks`), or an `Environment`.
+        algorithm: "ppo" (Brax) or "shac" (gradients through the environment).
+        steps: steps of the robot in the training; None for the setting of the task.
+        out: folder of the checkpoint, "table.csv" and "chart.png", written after each report; None
+            for none.
+        seed: of the random numbers.
+        devices: number of devices that share the samples; None for one.
+        seconds: limit of time, after which the training ends with the next report; None for none.
+        options: options of the task.
+        progress: whether the progress is printed.
+        changes: settings that replace those of `rb.envs.learning.settings`.
+
+    Returns:
+        `Trained`.
+
+    Raises:
+        UnknownName: no such task or algorithm.
+        InputError: settings out of range, a missing package.
+
+    Example:
+        >>> import rbjax as rb
+        >>> trained = rb.envs.learning.train(
+        ...     "cart_pole_balance", "shac", steps=64, progress=False, batch=4, horizon=4,
+        ...     hidden=(4,), reports=1)
+        >>> trained.rewards.shape
+        (4,)
+    """
+    if algorithm not in ALGORITHMS:
+        raise UnknownName("algorithm", algorithm, ALGORITHMS)
+    flag("train", "progress", progress)
+    integer("train", "seed", seed, least=0)
+    if steps is not None:
+        integer("train", "steps", steps, least=1)
+    if seconds is not None:
+        real_number("train", "seconds", seconds, above=0.0)
+    if isinstance(task, Environment) and options:
+        raise InputError("train: options need the name of a task, got an Environment")
+    env = task if isinstance(task, Environment) else make(task, **(options or {}))
+    name = env.task.name if isinstance(task, Environment) else task
+    chosen = settings(name, algorithm) | ({} if steps is None else {"steps": steps}) | changes
+    record = {"algorithm": algorithm, "seed": seed, "devices": devices, **chosen}
+    folder = None if out is None else Path(out)
+
+    with Monitor(f"{name} by {algorithm}", chosen["steps"], folder, progress) as monitor:
+
+        def report(done: int, figures: Mapping[str, float], policy: Any) -> None:
+            monitor(done, figures)
+            if folder is not None and policy is not None:
+                save_policy(folder, policy, name, options, record)
+
+        more = {"devices": devices, "seconds": seconds, "report": report}
+        key = jax.random.key(seed)
+        if algorithm == "ppo":
+            trained = ppo(env, key, **chosen, **more)
+        else:
+            trained = shac(env, key, **shac_arguments(chosen), **more)
+    return trained
+
+
+def shac_arguments(chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `shac`: iterations from the number of steps."""
+    found = dict(chosen)
+    per_iteration = found.get("batch", 256) * found.get("horizon", 32)
+    reports = found.get("reports", 1)
+    iterations = max(1, round(found.pop("steps") / per_iteration))
+    if iterations > reports:  # reports of equal length
+        iterations = reports * round(iterations / reports)
+    return found | {"iterations": iterations}

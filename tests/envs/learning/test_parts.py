@@ -1,0 +1,148 @@
+"""Parts of the learners: targets, statistics, policies, updates, settings, networks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+import rbjax as rb
+from rbjax.envs.learning import Policy, network, new_policy
+from rbjax.envs.learning.networks import LEAST_STD, normaliser
+from rbjax.envs.learning.settings import ALGORITHMS, PPO, TASKS, settings
+from rbjax.envs.learning.targets import objective, value_targets
+from rbjax.envs.learning.train import shac_arguments
+from rbjax.envs.learning.updates import apply_update
+from rbjax.errors import InputError, UnknownName
+from tests.envs.learning.pole import KEY, environment
+
+
+def test_targets_are_weighted_sums():
+    """l = 1: all rewards and the last value; l = 0: one reward and the next value; between: the
+    sum over all lengths, Sutton & Barto 12.2."""
+    rng = np.random.default_rng(0)
+    r, V = rng.normal(size=(4, 2)), rng.normal(size=(4, 2))
+    g, h, never = 0.9, 4, np.zeros((4, 2), bool)
+
+    def length(k, n):  # the return of n steps from k on
+        return sum((1 - g) * g**i * r[k + i] for i in range(n)) + g**n * V[k + n - 1]
+
+    for trace in (0.0, 0.7, 1.0):
+        found = value_targets(*map(jnp.asarray, (r, V, never, never)), g, trace)
+        for k in range(h):
+            most = h - k
+            want = trace ** (most - 1) * length(k, most)
+            want = want + (1 - trace) * sum(trace ** (n - 1) * length(k, n) for n in range(1, most))
+            assert np.abs(found[k] - want).max() < 1e-14
+    J = objective(*map(jnp.asarray, (r, V, never, never)), g)
+    assert np.abs(J - length(0, h)).max() < 1e-14
+
+
+def test_an_episode_that_ends_is_cut():
+    """The first sample is truncated after its second step, the second one terminates there: each
+    part has a return of its own, with a last value or without."""
+    rng = np.random.default_rng(1)
+    r, V = rng.normal(size=(4, 2)), rng.normal(size=(4, 2))
+    done = np.zeros((4, 2), bool)
+    done[1] = True
+    ended = done & [False, True]
+    g = 0.9
+
+    def part(k, n, k_sample, last):
+        return (
+            sum((1 - g) * g**i * r[k + i, k_sample] for i in range(n))
+            + last * g**n * (V[k + n - 1, k_sample])
+        )
+
+    J = objective(*map(jnp.asarray, (r, V, done, ended)), g)
+    G = value_targets(*map(jnp.asarray, (r, V, done, ended)), g, 1.0)
+    for sample, last in ((0, 1), (1, 0)):
+        first, second = part(0, 2, sample, last), part(2, 2, sample, 1)
+        assert abs(J[sample] - first - second) < 1e-14
+        assert abs(G[0, sample] - first) < 1e-14 and abs(G[2, sample] - second) < 1e-14
+
+
+def test_running_statistics_are_those_of_all_observations():
+    """In three parts, the last of which two devices share; values that are not finite are zero
+    deviations."""
+    x = np.random.default_rng(0).normal(3.0, 2.0, (30, 2)) * [1.0, 1e-8]
+    now = normaliser(2)
+    for part in (x[:4], x[4:10].reshape(2, 3, 2)):
+        now = now.include(jnp.asarray(part))
+    halves = jnp.asarray(x[10:].reshape(2, 10, 2))
+
+    def share(half):
+        mean = lambda value: jax.tree.map(lambda v: jax.lax.pmean(v, "d"), value)  # noqa: E731
+        return now.include(half, mean, 2)
+
+    now = jax.tree.map(lambda v: v[0], jax.vmap(share, axis_name="d")(halves))
+    assert np.abs(now.mean - x.mean(0)).max() < 1e-14 and now.count == 30
+    assert abs(now.std[0] - x[:, 0].std()) < 1e-14 and now.std[1] == LEAST_STD
+    assert np.abs(now(now.mean + 3 * now.std) - 3.0).max() < 1e-12
+    assert (now(now.mean + 1e6) == 10.0).all()
+
+
+def test_actions_stay_in_their_range():
+    env = environment()
+    policy = new_policy(env, KEY, (3,), normalise=False, std=None)
+    for y, want in ((1e3, 20.0), (-1e3, -20.0), (0.1, 20 * np.tanh(0.1))):
+        shifted = policy.replace(network=lambda x, y=y: jnp.array([y]))
+        assert abs(shifted(jnp.zeros(4)) - want) < 1e-14
+    free = Policy(lambda x: jnp.array([7.0]), None, None, -jnp.full(1, jnp.inf), jnp.ones(1))
+    assert free(jnp.zeros(4)) == 7.0
+
+
+def test_noise_of_a_policy():
+    """Its own standard deviation, or the second half of the network's output."""
+    keys = jax.random.split(KEY, 4000)
+    wide = jnp.full(1, jnp.inf)
+    one = Policy(lambda x: x[:1], None, jnp.log(jnp.array([0.5])), -wide, wide)
+    two = Policy(lambda x: x[:2], None, None, -wide, wide)
+    obs = jnp.array([3.0, jnp.log(jnp.expm1(0.5))])
+    for policy in (one, two):
+        y = jax.vmap(lambda key, policy=policy: policy({"policy": obs}, key))(keys)
+        assert abs(y.mean() - 3.0) < 0.04 and abs(y.std() - 0.5) < 0.03  # 4 standard errors
+        assert policy(obs) == 3.0
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing():
+    optimiser = optax.sgd(0.1)
+    memory, slope = optimiser.init(jnp.ones(2)), jnp.array([1.0, jnp.nan])
+    one, memory, fine = apply_update(optimiser, slope, memory, jnp.ones(2))
+    assert (one == 1).all() and not fine
+    two, _, fine = apply_update(optimiser, jnp.array([1.0, 2.0]), memory, jnp.ones(2))
+    assert np.abs(two - np.array([0.9, 0.8])).max() < 1e-15 and fine
+
+
+def test_settings_fit_the_learners():
+    """Every setting is an argument of its learner; Brax needs a multiple of the samples."""
+    import inspect
+
+    from rbjax.envs.learning import shac
+
+    for task in (*TASKS, "another"):
+        for backend in ("cpu", "gpu"):
+            found = settings(task, "ppo", backend)
+            batch = found["batch_size"] * found["num_minibatches"]
+            assert batch % found["num_envs"] == 0 and set(found) <= set(PPO) | {"clipping_epsilon"}
+            found = shac_arguments(settings(task, "shac", backend))
+            assert set(found) <= set(inspect.signature(shac).parameters)
+    assert ALGORITHMS == ("ppo", "shac")
+    with pytest.raises(UnknownName, match="algorithm"):
+        settings("another", "sac")
+
+
+@pytest.mark.parametrize(
+    "call, error, said",
+    [
+        (lambda: network(KEY, (4,)), InputError, "sizes is"),
+        (lambda: network(KEY, (4, 1), "relu6"), UnknownName, "activation of network"),
+        (lambda: rb.envs.learning.train("no_task", "ppo"), UnknownName, "task"),
+        (lambda: rb.envs.learning.train("no_task", "sac"), UnknownName, "algorithm"),
+        (lambda: rb.envs.learning.train("no_task", steps=0), InputError, "steps is 0"),
+        (lambda: rb.envs.learning.train(environment(), options={"a": 1}), InputError, "options"),
+    ],
+)
+def test_bad_input(call, error, said):
+    with pytest.raises(error, match=said):
+        call()

@@ -1,0 +1,80 @@
+"""PPO by Brax: its networks become policies of rbjax with the same actions; a small training."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rbjax.envs import Observation
+from rbjax.envs.learning import ppo
+from rbjax.envs.learning.brax_training import BraxBatch, brax_modules, convert_critic
+from rbjax.errors import InputError
+from tests.envs.learning.pole import KEY, environment, observe
+
+pytest.importorskip("brax")
+
+SMALL = {
+    "steps": 200, "num_envs": 4, "batch_size": 8, "num_minibatches": 2, "unroll_length": 3,
+    "num_updates_per_batch": 1, "policy_hidden": (8, 4), "value_hidden": (8,), "evaluations": 4,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_policy_and_the_critic_are_those_of_brax():
+    """A training of two reports with two groups of observations; the mean action and the value of
+    Brax' networks, with its own parameters, and a report with the terms of the reward."""
+    from brax.training.acme import running_statistics
+    from brax.training.agents.ppo import networks
+
+    seen, kept = [], {}
+    groups = {"policy": (Observation("q", lambda to: to.after.q),),
+              "critic": (Observation("state", observe),)}  # fmt: skip
+    with jax.enable_x64(False):
+        env = environment(observations=groups)
+        found = ppo(
+            env, KEY, reports=2, **SMALL,
+            report=lambda steps, figures, policy: seen.append((steps, figures, policy)),
+            keep=kept.update,
+        )  # fmt: skip
+        made = networks.make_ppo_networks(
+            {"policy": (2,), "critic": (4,)}, 1, running_statistics.normalize, (8, 4), (8,),
+            policy_obs_key="policy", value_obs_key="critic",
+        )  # fmt: skip
+        obs = {"policy": jnp.array([0.3, -0.2]), "critic": jnp.array([0.3, -0.2, 1.0, 2.0])}
+        parameters = kept["parameters"]
+        act = networks.make_inference_fn(made)(parameters, deterministic=True)
+        want = 20.0 * act(obs, KEY)[0]  # the range of the force
+        assert np.abs(found.policy(obs) - want).max() < 1e-5
+        V = made.value_network.apply(parameters[0], parameters[2], obs)
+        assert abs(convert_critic(parameters, "critic", 0.5)(obs) - 0.5 * V) < 1e-6
+    assert [steps for steps, *_ in seen][0] == 0 and len(seen) == 3
+    assert seen[1][0] < seen[2][0] >= 200
+    assert {"reward", "reward_std", "length", "reward/upright"} <= set(seen[1][1])
+    assert abs(seen[1][1]["reward"] - seen[1][1]["reward/upright"]) < 1e-4
+    assert seen[1][2].network.sizes == (2, 8, 4, 2)
+    assert found.rewards.shape == (3,) and np.isfinite(found.rewards).all()
+
+
+@pytest.mark.slow
+def test_a_batch_of_brax_is_the_environment():
+    """A step of Brax' state, the end of an episode, and actions of -1..1 over the range."""
+    with jax.enable_x64(False):
+        env = environment(episode=2)
+        batch = BraxBatch(env, brax_modules()[2])
+        state = batch.reset(jax.random.split(jax.random.PRNGKey(0), 3))
+        assert state.obs.shape == (3, 4) and state.info["steps"].tolist() == [0] * 3
+        action = jnp.array([[-1.0], [0.0], [0.5]])
+        after = jax.jit(batch.step)(state, action)
+        assert after.pipeline_state.ctrl[:, 0].tolist() == [-20.0, 0.0, 10.0]
+        assert after.done.tolist() == [0] * 3
+        last = jax.jit(batch.step)(after, action)
+        assert last.done.tolist() == [1] * 3 == last.info["truncation"].tolist()
+        assert last.info["steps"].tolist() == [2] * 3
+        total = after.reward + last.reward
+        assert np.abs(last.info["episode_metrics"]["sum_reward"] - total).max() < 1e-5
+        assert last.pipeline_state.step.tolist() == [0] * 3
+
+
+def test_bad_input():
+    with pytest.raises(InputError, match=r"batch_size \* num_minibatches is 16"):
+        ppo(environment(), KEY, **SMALL | {"num_envs": 5})
