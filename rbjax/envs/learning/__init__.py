@@ -1,12 +1,12 @@
 """Learners of policies on environments: PPO by Brax, SHAC by gradients through the environment.
 
 Files:
-    train.py: `train`, a policy for a named task, with progress, table, chart and checkpoint.
-    settings.py: settings of trainings by task and algorithm.
-    ppo.py: proximal policy optimisation, by Brax.
+    training.py: `train`, a policy for a named task, with progress, table, chart and checkpoint.
+    task_settings.py: settings of trainings by task and algorithm.
+    proximal.py: proximal policy optimisation, by Brax.
     brax_training.py: an environment as Brax trains on it; conversion of its networks.
     short_horizon.py: SHAC, short-horizon actor-critic.
-    through_time.py: back-propagation through whole episodes.
+    whole_episodes.py: back-propagation through whole episodes.
     samples.py: a batch of episodes that advances with a policy, differentiably.
     targets.py: objective of the policy, targets of the value function.
     critic.py: the value function.
@@ -26,13 +26,13 @@ from rbjax.envs.learning.critic import Critic, new_critic
 from rbjax.envs.learning.evaluation import Episodes, evaluate
 from rbjax.envs.learning.networks import Network, Normaliser, network
 from rbjax.envs.learning.policy import Policy, new_policy
-from rbjax.envs.learning.ppo import ppo
+from rbjax.envs.learning.proximal import ppo
 from rbjax.envs.learning.report import Monitor
-from rbjax.envs.learning.settings import settings
 from rbjax.envs.learning.short_horizon import shac
-from rbjax.envs.learning.through_time import through_time
-from rbjax.envs.learning.train import train
+from rbjax.envs.learning.task_settings import settings
 from rbjax.envs.learning.trained import Trained
+from rbjax.envs.learning.training import train
+from rbjax.envs.learning.whole_episodes import through_time
 
 __all__ = [
     "Critic",

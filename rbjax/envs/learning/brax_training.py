@@ -120,14 +120,15 @@ def finite_range(env: Any) -> tuple[np.ndarray, np.ndarray]:
 @contextlib.contextmanager
 def names_of_jax() -> Iterator[None]:
     """Provide names that Brax 0.14 calls and that newer versions of JAX no longer have."""
-    if hasattr(jax, "device_put_replicated"):
+    name = "device_put_replicated"
+    if hasattr(jax, name):
         yield
         return
-    jax.device_put_replicated = put_replicated  # type: ignore[attr-defined]
+    setattr(jax, name, put_replicated)
     try:
         yield
     finally:
-        del jax.device_put_replicated  # type: ignore[attr-defined]
+        delattr(jax, name)
 
 
 def put_replicated(x: Any, devices: Sequence[Any]) -> Any:

@@ -131,8 +131,8 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
     )
     statistics = policy.normaliser
     if statistics is not None:
-        fields = (arrays[name] for name in ("mean", "std", "count"))
-        statistics = Normaliser(*fields, statistics.limit)
+        mean, std, count = (arrays[name] for name in ("mean", "std", "count"))
+        statistics = Normaliser(mean, std, count, statistics.limit)
     made = Policy(
         network, statistics, arrays.get("log_std"), arrays["low"], arrays["high"], policy.squash
     )

@@ -66,7 +66,7 @@ def evaluate(
         zero = jnp.zeros(episodes, env.dtype)
         found = Episodes(zero, jnp.zeros(episodes, int), jnp.zeros(episodes, bool))
 
-        def move(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
+        def move(carry: Any, key: jax.Array) -> tuple[Any, None]:
             obs, state, running, found = carry
             keys = jax.random.split(key, (2, episodes))
             act = jax.vmap(policy) if noise else jax.vmap(lambda o, key: policy(o, None))
@@ -79,7 +79,7 @@ def evaluate(
             )
             return (obs, state, running & ~done, found), None
 
-        start = (obs, state, jnp.ones(episodes, bool), found)
+        start: Any = (obs, state, jnp.ones(episodes, bool), found)
         (*_, found), _ = jax.lax.scan(move, start, jax.random.split(two, env.episode))
         return found
 

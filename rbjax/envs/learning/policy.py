@@ -78,13 +78,17 @@ def policy_group(obs: Any) -> jax.Array:
 
 def critic_group(obs: Any) -> jax.Array:
     """Return the observation of the value function: group "critic" if there is one."""
-    return obs.get("critic", obs["policy"]) if isinstance(obs, dict) else obs
+    if not isinstance(obs, dict):
+        return obs
+    return obs["critic"] if "critic" in obs else obs["policy"]
 
 
 def group_size(env: Any, group: str) -> int:
     """Return the length of the observation of a group; of "policy" if there is no such group."""
     size = env.observation_size
-    return size.get(group, size["policy"]) if isinstance(size, dict) else size
+    if not isinstance(size, dict):
+        return size
+    return size[group] if group in size else size["policy"]
 
 
 def new_policy(

@@ -42,7 +42,7 @@ class Training(NamedTuple):
     samples: Samples
 
 
-LAYOUT = Training(*[SAME] * 7, samples=EACH)
+LAYOUT = Training._make([*[SAME] * 7, EACH])
 
 
 def shac(
@@ -171,9 +171,8 @@ def shac(
         acting = eqx.combine(numbers, rest)
         learned = [part.include(path.obs, mean, parts) for part in (acting, critic, behind)]
         skipped = now.skipped + (1 - fine.astype(int))
-        after = Training(
-            *eqx.filter(learned, eqx.is_array), memory, critic_memory, key, skipped, samples
-        )
+        arrays = eqx.filter(learned, eqx.is_array)
+        after = Training._make((*arrays, memory, critic_memory, key, skipped, samples))
         return after, {name: parts * mean(x) for name, x in figures_of(path, parts).items()}
 
     def begin(policy: Any, critic: Any, key: jax.Array) -> Training:
@@ -184,7 +183,8 @@ def shac(
         memory = optimiser.init(split_policy(policy)[0])
         arrays = eqx.filter((policy, critic, critic), eqx.is_array)
         skipped = jnp.zeros((), int)
-        return Training(*arrays, memory, fitter.init(weights_of(critic)), two, skipped, samples)
+        critic_memory = fitter.init(weights_of(critic))
+        return Training._make((*arrays, memory, critic_memory, two, skipped, samples))
 
     def told(done: int, now: Training, figures: dict) -> None:
         policy = eqx.combine(now.policy, static[0])

@@ -9,9 +9,9 @@ import pytest
 import rbjax as rb
 from rbjax.envs.learning import Policy, network, new_policy
 from rbjax.envs.learning.networks import LEAST_STD, normaliser
-from rbjax.envs.learning.settings import ALGORITHMS, PPO, TASKS, settings
 from rbjax.envs.learning.targets import objective, value_targets
-from rbjax.envs.learning.train import shac_arguments
+from rbjax.envs.learning.task_settings import ALGORITHMS, PPO, TASKS, settings
+from rbjax.envs.learning.training import shac_arguments
 from rbjax.envs.learning.updates import apply_update
 from rbjax.errors import InputError, UnknownName
 from tests.envs.learning.pole import KEY, environment

@@ -47,7 +47,7 @@ def test_the_policy_and_the_critic_are_those_of_brax():
         assert np.abs(found.policy(obs) - want).max() < 1e-5
         V = made.value_network.apply(parameters[0], parameters[2], obs)
         assert abs(convert_critic(parameters, "critic", 0.5)(obs) - 0.5 * V) < 1e-6
-    assert [steps for steps, *_ in seen][0] == 0 and len(seen) == 3
+    assert seen[0][0] == 0 and len(seen) == 3
     assert seen[1][0] < seen[2][0] >= 200
     assert {"reward", "reward_std", "length", "reward/upright"} <= set(seen[1][1])
     assert abs(seen[1][1]["reward"] - seen[1][1]["reward/upright"]) < 1e-4

@@ -90,10 +90,8 @@ def through_time(
         one, two = jax.random.split(own_key(other))
         numbers, rest = split_policy(eqx.combine(arrays, static))
         draw = jax.vmap(env.reset, (0, None))
-        samples = Samples(
-            *draw(jax.random.split(one, batch // parts), params),
-            jnp.ones(batch // parts, bool),
-        )  # fmt: skip
+        obs, state = draw(jax.random.split(one, batch // parts), params)
+        samples = Samples(obs, state, jnp.ones(batch // parts, bool))
 
         def loss(numbers: Any) -> tuple:
             acting = eqx.combine(numbers, rest)

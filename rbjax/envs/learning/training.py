@@ -11,10 +11,10 @@ import jax
 from rbjax.arguments import flag, integer, real_number
 from rbjax.envs.environment import Environment
 from rbjax.envs.learning.checkpoint import save_policy
-from rbjax.envs.learning.ppo import ppo
+from rbjax.envs.learning.proximal import ppo
 from rbjax.envs.learning.report import Monitor
-from rbjax.envs.learning.settings import ALGORITHMS, settings
 from rbjax.envs.learning.short_horizon import shac
+from rbjax.envs.learning.task_settings import ALGORITHMS, settings
 from rbjax.envs.learning.trained import Trained
 from rbjax.envs.registry import make
 from rbjax.errors import InputError, UnknownName
@@ -89,7 +89,7 @@ def train(
             if folder is not None and policy is not None:
                 save_policy(folder, policy, name, options, record)
 
-        more = {"devices": devices, "seconds": seconds, "report": report}
+        more: dict[str, Any] = {"devices": devices, "seconds": seconds, "report": report}
         key = jax.random.key(seed)
         if algorithm == "ppo":
             trained = ppo(env, key, **chosen, **more)
