@@ -3,6 +3,8 @@ all files of this folder.
 
 Files:
     cart_pole.py: balance and swing-up of a pole on a cart.
+    g1.py: a Unitree G1 that follows velocity commands.
+    go1.py: a Unitree Go1 that follows velocity commands, on flat or rough ground.
     hopper.py: a planar hopper that stands or hops.
     walker.py: a planar walker that stands, walks or runs.
 """

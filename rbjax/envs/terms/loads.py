@@ -5,7 +5,8 @@ No actuator acts on a floating base, so the first six inverse dynamics are the w
     (f, n) = M a + b,     n about the origin of the base
 About a point p of a flat floor its center of pressure is c = p + (-n_y, n_x) / f_z, with n about p.
 Two feet carry f_z in the ratio of the lever arms of c along the line between their sites. It is
-exact if the force of each foot acts below its site. The contact problem is not solved again.
+exact if the force of each foot acts below its site. If one foot touches, it carries all. The
+contact problem is not solved again.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.algorithms.rnea import inverse_dynamics
 from rbjax.envs.terms.feet import Feet
 from rbjax.envs.terms.frames import Term, frame_at
+from rbjax.envs.terms.touch import touching_at
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
@@ -52,7 +54,9 @@ def two_foot_loads(context: Context, feet: Feet, floor: float = 0.0) -> jax.Arra
     share = span[1] * moment[0] - span[0] * moment[1]
     fz = jnp.maximum(force[2], 0.0)
     second = jnp.clip(share / jnp.maximum(square, 1e-6), 0.0, fz)
-    return jnp.stack([fz - second, second])
+    one, other = touching_at(context, feet.pairs)
+    second = jnp.where(one & other, second, jnp.where(other, fz, 0.0))
+    return jnp.where(one | other, jnp.stack([fz - second, second]), 0.0)
 
 
 def excess_load(feet: Feet, most: float) -> Term:
