@@ -123,13 +123,14 @@ class Randomisation:
 
 
 def scale(
-    name: str, where: Callable[[Model], jax.Array], low: Any, high: Any, *, each: bool = False
+    name: str, where: Callable[[Model], Any], low: Any, high: Any, *, each: bool = False
 ) -> Randomisation:
     """Return a `Randomisation` that multiplies a leaf of the model by a uniform factor.
 
     Args:
         name: name of the randomisation.
-        where: function of the model that returns the leaf.
+        where: function of the model that returns the leaf, or a list of leaves with one common
+            factor, such as mass and inertia.
         low, high: smallest and largest factor, numbers or arrays of the leaf's shape.
         each: True for one factor for each entry of the leaf; False for one factor of all entries.
 
@@ -141,18 +142,18 @@ def scale(
     """
     return Randomisation(
         name, _uniform(where, low, high, each),
-        lambda model, value: eqx.tree_at(where, model, where(model) * value),
+        lambda model, value: _changed(model, where, lambda x: x * value),
     )  # fmt: skip
 
 
 def offset(
-    name: str, where: Callable[[Model], jax.Array], low: Any, high: Any, *, each: bool = False
+    name: str, where: Callable[[Model], Any], low: Any, high: Any, *, each: bool = False
 ) -> Randomisation:
     """Return a `Randomisation` that adds a uniform number to a leaf of the model.
 
     Args:
         name: name of the randomisation.
-        where: function of the model that returns the leaf.
+        where: function of the model that returns the leaf, or a list of leaves.
         low, high: smallest and largest number, in the unit of the leaf, numbers or arrays of the
             leaf's shape.
         each: True for one number for each entry of the leaf; False for one number for all entries.
@@ -165,15 +166,20 @@ def offset(
     """
     return Randomisation(
         name, _uniform(where, low, high, each),
-        lambda model, value: eqx.tree_at(where, model, where(model) + value),
+        lambda model, value: _changed(model, where, lambda x: x + value),
     )  # fmt: skip
+
+
+def _changed(model: Model, where: Callable, change: Callable) -> Model:
+    return eqx.tree_at(where, model, jax.tree.map(change, where(model)))
 
 
 def _uniform(where: Callable, low: Any, high: Any, each: bool) -> Callable:
     def draw(key: jax.Array, params: Params) -> jax.Array:
-        leaf = where(params.model)
-        shape = leaf.shape if each else jnp.broadcast_shapes(jnp.shape(low), jnp.shape(high))
-        return jax.random.uniform(key, shape, leaf.dtype, low, high)
+        leaf = jax.tree.leaves(where(params.model))[0]
+        least, most = jnp.asarray(low, leaf.dtype), jnp.asarray(high, leaf.dtype)
+        shape = leaf.shape if each else jnp.broadcast_shapes(least.shape, most.shape)
+        return jax.random.uniform(key, shape, leaf.dtype, least, most)
 
     return draw
 
