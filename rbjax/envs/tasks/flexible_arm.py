@@ -76,7 +76,7 @@ def damp_flexible_arm(*, randomise: bool = True) -> Task:
     Example:
         >>> import rbjax as rb
         >>> rb.envs.make("damp_flexible_arm").observation_size
-        {'policy': 5, 'critic': 15}
+        {'critic': 15, 'policy': 5}
     """
     measured = (
         Observation("goal_error", lambda to: to.after.q[0] - to.variables["goal"], noise=0.003),
