@@ -7,6 +7,7 @@ Files:
     go1.py: a Unitree Go1 that follows velocity commands, on flat or rough ground.
     hopper.py: a planar hopper that stands or hops.
     walker.py: a planar walker that stands, walks or runs.
+    panda.py: an arm that picks up a cube.
 """
 
 import sys

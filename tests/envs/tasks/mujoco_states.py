@@ -58,21 +58,21 @@ def at(m: mujoco.MjModel, state: Any) -> mujoco.MjData:
     return d
 
 
+def sensor(m: mujoco.MjModel, d: mujoco.MjData, name: str) -> np.ndarray:
+    """The measured values of a sensor."""
+    return d.sensor(name).data.copy()
+
+
+def body_com(m: mujoco.MjModel, d: mujoco.MjData, name: str) -> np.ndarray:
+    """The center of mass of a body in the world."""
+    return d.xipos[m.body(name).id].copy()
+
+
 def batch(env: Any, states: list[Any], seed: int = 0) -> Any:
     """Episodes of an environment at given states."""
     _, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(seed), len(states)))
     q, v, ctrl = (jnp.asarray(np.stack(x), env.dtype) for x in zip(*states, strict=True))
     return state.replace(state=state.state.replace(q=q, v=v), ctrl=ctrl)
-
-
-def transitions(env: Any, states: list[Any], read: Any) -> Any:
-    """The values of a term of all states, as of the end of a control step."""
-
-    def one(state: Any) -> Any:
-        to = env._sample.transition(state, state, env.default_params)
-        return read(to)
-
-    return jax.jit(jax.vmap(one))(batch(env, states))
 
 
 def stepped(env: Any, states: list[Any], seed: int = 1) -> Any:
