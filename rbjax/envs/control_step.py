@@ -88,33 +88,56 @@ class ControlStep:
             total=jnp.zeros((), dtype),
         )  # fmt: skip
 
-    def advance(
+    def prepare(
         self, key: jax.Array, state: EnvState, action: jax.Array, params: Params
-    ) -> tuple[EnvState, jax.Array, jax.Array, dict[str, Any]]:
-        """Return the state after a control step, the reward, done, and info."""
+    ) -> tuple[EnvState, jax.Array]:
+        """Return the state after the events, with the action in its buffer, and the controls."""
         task = self.task
         params = self.with_drawn(params, state.drawn)
-        event, update = jax.random.split(key)
         for i, e in enumerate(task.events):
-            state = e.apply(jax.random.fold_in(event, i), state, params)
-        last, buffers = state, dict(state.buffers)
-        used = action
+            state = e.apply(jax.random.fold_in(key, i), state, params)
         if "action" in self.delayed:
-            buffers["action"] = jnp.concatenate([action[None], buffers["action"][:-1]])
-            used = _row(buffers["action"], state.delays["action"])
-        ctrl = task.action.ctrl(used, state, params)
-        moved, rate = self.physics(params.model, state, ctrl)
-        step = state.step + 1
-        state = state.replace(
-            state=moved, rate=rate, step=step, action=action, ctrl=ctrl, buffers=buffers
-        )
+            buffer = jnp.concatenate([action[None], state.buffers["action"][:-1]])
+            action = _row(buffer, state.delays["action"])
+            state = state.replace(buffers={**state.buffers, "action": buffer})
+        return state, task.action.ctrl(action, state, params)
+
+    def physics(
+        self, state: State, step: jax.Array, drawn: dict[str, Any], ctrl: jax.Array, params: Params
+    ) -> tuple[State, jax.Array]:
+        """Integrate a control step. Return the state, and the mean acceleration (nv,) over the last
+        physics step."""
+        model = self.with_drawn(params, drawn).model
+        field, count = Field(model, self.dynamics, self.dt), self.task.decimation
+        begin = (step * count).astype(self.dtype)
+
+        def one(carry: tuple, i: jax.Array) -> tuple:
+            before, _ = carry
+            t = self.dt * (begin + i)
+            after = advance_state(self.integrator, field, t, before, Inputs(ctrl), self.dt)
+            return (after, (after.v - before.v) / self.dt), None
+
+        carry = state, jnp.zeros_like(state.v)
+        if count == 1:
+            return one(carry, jnp.zeros((), self.dtype))[0]
+        return jax.lax.scan(one, carry, jnp.arange(count, dtype=self.dtype))[0]
+
+    def finish(
+        self, key: jax.Array, last: EnvState, action: jax.Array, ctrl: jax.Array,
+        moved: tuple[State, jax.Array], params: Params,
+    ) -> tuple[EnvState, jax.Array, jax.Array, dict[str, Any]]:  # fmt: skip
+        """Return the state after a control step, the reward, done, and info."""
+        task = self.task
+        params = self.with_drawn(params, last.drawn)
+        motion, rate = moved
+        step, variables = last.step + 1, dict(last.variables)
+        state = last.replace(state=motion, rate=rate, step=step, action=action, ctrl=ctrl)
         to = self.transition(last, state, params)
-        variables = dict(state.variables)
         for v in task.variables:
             if v.measure is not None:
                 variables[v.name] = _alike(v, v.measure(to), variables)
         to = dataclasses.replace(to, variables=variables)
-        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([moved.q, moved.v, action])))
+        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([motion.q, motion.v, action])))
         terminated = failed
         for name, ends in task.terminations.items():
             terminated = terminated | check_number(f"termination {name!r}", task, ends(to))
@@ -128,7 +151,7 @@ class ControlStep:
         truncated = (step >= task.episode) & ~terminated
         for i, v in enumerate(task.variables):
             if v.update is not None:
-                new = v.update(jax.random.fold_in(update, i), to)
+                new = v.update(jax.random.fold_in(key, i), to)
                 variables = {**variables, v.name: _alike(v, new, variables)}
                 to = dataclasses.replace(to, variables=variables)
         state = state.replace(variables=variables, total=state.total + reward)
@@ -137,23 +160,6 @@ class ControlStep:
             "rewards": rewards, "return": state.total, "length": step,
         }  # fmt: skip
         return state, reward, terminated | truncated, info
-
-    def physics(self, model: Model, state: EnvState, ctrl: jax.Array) -> tuple[State, jax.Array]:
-        """Integrate a control step. Return the state, and the mean acceleration (nv,) over the last
-        physics step."""
-        field, count = Field(model, self.dynamics, self.dt), self.task.decimation
-        begin = (state.step * count).astype(self.dtype)
-
-        def one(carry: tuple, i: jax.Array) -> tuple:
-            before, _ = carry
-            t = self.dt * (begin + i)
-            after = advance_state(self.integrator, field, t, before, Inputs(ctrl), self.dt)
-            return (after, (after.v - before.v) / self.dt), None
-
-        carry = state.state, jnp.zeros_like(state.rate)
-        if count == 1:
-            return one(carry, jnp.zeros((), self.dtype))[0]
-        return jax.lax.scan(one, carry, jnp.arange(count, dtype=self.dtype))[0]
 
     def transition(self, before: EnvState, after: EnvState, params: Params) -> Transition:
         """Return the transition between two states of an episode."""

@@ -3,7 +3,8 @@
     reset: state ~ start,  o = observations(state)
     step:  u = action map(a),  events,  physics (decimation steps),  variables, rewards,
            terminations,  reset by select if the episode ends,  observations
-A batch under `vmap` is one kernel: physics, random numbers, rewards and resets included.
+A batch under `vmap` runs as three kernels: before the physics, the physics, after it. One kernel
+for all is slower, because values that later terms need occupy registers during the physics.
 """
 
 from __future__ import annotations
@@ -178,7 +179,7 @@ class Environment:
                     self.dtype,
                 )  # fmt: skip
                 after, state, reward, done, info = self._step(
-                    (jax.random.key_data(step), state, action), params
+                    (jax.random.key_data(step), state, action), params, _plain
                 )
                 kept = {"obs": obs, "action": action, "reward": reward, "done": done}
                 kept |= {name: info[name] for name in ("terminated", "truncated")}
@@ -187,7 +188,10 @@ class Environment:
             (obs, state), path = jax.lax.scan(one, (obs, state), jnp.arange(steps))
             return obs, state, path
 
-        return self._run(all_steps, (_data("unroll", key), obs, state), self._params(params))
+        own = _data("unroll", key), obs, state
+        return self._run(
+            lambda own, params, part: part(all_steps, own, params), own, self._params(params)
+        )
 
     def _given(self, where: str, key: Any, state: Any, action: Any) -> tuple:
         data = _data(where, key)
@@ -214,45 +218,76 @@ class Environment:
         return self._programs[name, default](own, *(() if default else (given,)))
 
     def _run(self, f: Callable, own: tuple, params: Params) -> Any:
+        """Run a function (own, params, part) of one sample, whose parts are kernels."""
         if on_explicit_axes(own, params):
             return on_auto_axes(functools.partial(self._run, f), own, params)
         if not self.kernel:
-            return f(own, params)
+            return f(own, params, _plain)
         model = on_threads(params.model, self.dtype)
         if not self.task.randomise:
             model = with_compiled_constants(model, self.dtype)
         saves = self.task.model.contact is not None
-        return run_sample(f, own, with_model(params, model), saves=saves)
+        return f(own, with_model(params, model), functools.partial(run_sample, saves=saves))
 
-    def _reset(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
+    def _reset(self, own: tuple, params: Params, part: Callable) -> tuple[Any, EnvState]:
+        return part(self._first, own, params)
+
+    def _first(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
         begin, noise = jax.random.split(_key(own[0]))
         state = self._sample.begin(begin, params)
         return self._sample.observe(noise, state, params, None)
 
-    def _step(self, own: tuple, params: Params) -> tuple:
-        data, state, action = own
-        advance, begin, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.advance(advance, state, action, params)
+    def _step(self, own: tuple, params: Params, part: Callable) -> tuple:
+        return part(self._next, self._advance(own, params, part), params)
+
+    def _step_once(self, own: tuple, params: Params, part: Callable) -> tuple:
+        return part(self._last, self._advance(own, params, part), params)
+
+    def _advance(self, own: tuple, params: Params, part: Callable) -> tuple:
+        """Integrate a control step. Return the arguments of `ControlStep.finish`."""
+        sample = self._sample
+
+        def prepare(own: tuple, params: Params) -> tuple:
+            data, state, action = own
+            event, rest = jax.random.split(_key(data))
+            return *sample.prepare(event, state, action, params), jax.random.key_data(rest)
+
+        def physics(own: tuple, params: Params) -> tuple:
+            return sample.physics(*own, params)
+
+        state, ctrl, rest = part(prepare, own, params)
+        moved = part(physics, (state.state, state.step, state.drawn, ctrl), params)
+        return rest, state, own[2], ctrl, moved
+
+    def _next(self, own: tuple, params: Params) -> tuple:
+        data, *others = own
+        finish, begin, noise = jax.random.split(_key(data), 3)
+        state, reward, done, info = self._sample.finish(finish, *others, params)
         new = self._sample.begin(begin, params)
         new = new.replace(buffers={**state.buffers, **new.buffers})
         state = jax.tree.map(lambda a, b: jnp.where(done, a, b), new, state)
         obs, state = self._sample.observe(noise, state, params, done)
         return obs, state, reward, done, info
 
-    def _step_once(self, own: tuple, params: Params) -> tuple:
-        data, state, action = own
-        advance, _, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.advance(advance, state, action, params)
+    def _last(self, own: tuple, params: Params) -> tuple:
+        data, *others = own
+        finish, _, noise = jax.random.split(_key(data), 3)
+        state, reward, done, info = self._sample.finish(finish, *others, params)
         obs, state = self._sample.observe(noise, state, params, False)
         return obs, state, reward, done, info
 
     def _check_terms(self) -> None:
         """Trace a reset and a step, so that a wrong term raises here, and measure observations."""
         key = jax.ShapeDtypeStruct((2,), jnp.uint32)
-        obs, state = jax.eval_shape(lambda d: self._reset((d,), self.default_params), key)
+        params = self.default_params
+        obs, state = jax.eval_shape(lambda data: self._first((data,), params), key)
         action = jax.ShapeDtypeStruct((self.action_size,), self.dtype)
-        jax.eval_shape(lambda *own: self._step(own, self.default_params), key, state, action)
+        jax.eval_shape(lambda *own: self._step(own, params, _plain), key, state, action)
         self.observation_size = jax.tree.map(lambda x: x.shape[0], obs)
+
+
+def _plain(f: Callable, own: tuple, params: Params) -> Any:
+    return f(own, params)
 
 
 def _with_last(f: Callable, params: Params, own: tuple) -> Any:
