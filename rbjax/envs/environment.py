@@ -277,12 +277,18 @@ class Environment:
         return obs, state, reward, done, info
 
     def _check_terms(self) -> None:
-        """Trace a reset and a step, so that a wrong term raises here, and measure observations."""
+        """Trace a reset and a step, so that wrong terms raise an error, and count observations."""
         key = jax.ShapeDtypeStruct((2,), jnp.uint32)
         params = self.default_params
         obs, state = jax.eval_shape(lambda data: self._first((data,), params), key)
         action = jax.ShapeDtypeStruct((self.action_size,), self.dtype)
-        jax.eval_shape(lambda *own: self._step(own, params, _plain), key, state, action)
+
+        def step(data: jax.Array, state: EnvState, action: jax.Array) -> tuple:
+            last, ctrl = self._sample.prepare(_key(data), state, action, params)
+            motion = last.state, last.rate  # without the physics, whose trace takes longer
+            return self._next((data, last, action, ctrl, motion), params)
+
+        jax.eval_shape(step, key, state, action)
         self.observation_size = jax.tree.map(lambda x: x.shape[0], obs)
 
 
