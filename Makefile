@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test quick test-gpu test-all test-oldest lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
+.PHONY: help setup test quick test-gpu test-all test-oldest test-envs lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -53,6 +53,12 @@ test-oldest: ## the quick tests with the oldest versions that pyproject.toml acc
 	.venv-oldest/bin/python tests/oldest.py > .venv-oldest/constraints.txt
 	.venv-oldest/bin/pip install -qq --editable '.[test]' --constraint .venv-oldest/constraints.txt
 	.venv-oldest/bin/pytest -n $(JOBS) --dist worksteal -m "not slow" -W ignore::DeprecationWarning
+
+# PyTorch for Linux brings CUDA, several GB.
+test-envs: ## the adapters to learning libraries with all of them, rsl-rl and PyTorch too, in .venv-envs
+	$(PYTHON) -m venv .venv-envs
+	.venv-envs/bin/pip install -qq --editable '.[test,envs,rsl]'
+	.venv-envs/bin/pytest -n $(JOBS) tests/envs/adapters rbjax/envs/adapters
 
 lint: $(STAMP) ## ruff
 	$(BIN)/ruff check --quiet .
@@ -100,5 +106,5 @@ notebooks/%.ipynb: notebooks/%.py $(STAMP) FORCE
 FORCE:
 
 clean: ## remove all that make has made, .venv included
-	rm -rf $(VENV) .venv-oldest .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
+	rm -rf $(VENV) .venv-oldest .venv-envs .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

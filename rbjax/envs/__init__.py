@@ -12,12 +12,13 @@ Files:
     terrain.py: `rough_ground`.
 
 Subpackages:
+    adapters: the environments in the interfaces of learning libraries.
     tasks: the tasks, one a file.
     terms: observation and reward terms that tasks share.
     robots: MJCF files of robots.
 """
 
-from rbjax.envs import terms
+from rbjax.envs import adapters, terms
 from rbjax.envs.actions import Direct, Increment, Offset, Scaled
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
@@ -51,6 +52,7 @@ __all__ = [
     "Task",
     "Transition",
     "Variable",
+    "adapters",
     "make",
     "offset",
     "register",

@@ -1,0 +1,30 @@
+"""Adapters: an environment for the learning libraries, each in the interface of the library.
+
+Files:
+    brax.py: `to_brax` and `wrap_brax`, for Brax's PPO, SAC and APG.
+    gymnax.py: `to_gymnax` and `to_rejax`.
+    gymnasium.py: `to_gymnasium`, `to_gymnasium_vector`, `to_gymnasium_functional`.
+    rsl_rl.py: `to_rsl_rl`, with PyTorch tensors that share memory with JAX.
+    packages.py: the error of a package that is not installed.
+"""
+
+from rbjax.envs.adapters.brax import to_brax, wrap_brax
+from rbjax.envs.adapters.gymnasium import (
+    to_gymnasium,
+    to_gymnasium_functional,
+    to_gymnasium_vector,
+)
+from rbjax.envs.adapters.gymnax import GymnaxParams, to_gymnax, to_rejax
+from rbjax.envs.adapters.rsl_rl import to_rsl_rl
+
+__all__ = [
+    "GymnaxParams",
+    "to_brax",
+    "to_gymnasium",
+    "to_gymnasium_functional",
+    "to_gymnasium_vector",
+    "to_gymnax",
+    "to_rejax",
+    "to_rsl_rl",
+    "wrap_brax",
+]
