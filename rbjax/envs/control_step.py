@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,7 +19,7 @@ import numpy as np
 from rbjax.dynamics.arguments import check_step
 from rbjax.envs.checks import check_number, check_start, check_vector, term_of
 from rbjax.envs.episode import EnvState, Params
-from rbjax.envs.task import Task
+from rbjax.envs.task import Observation, Task
 from rbjax.envs.transition import Transition
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
@@ -46,13 +47,20 @@ class ControlStep:
         }
 
     @functools.cached_property
+    def unique_terms(self) -> list[tuple[str, Observation, Callable]]:
+        """The name group/term, the term and its function of each observation. A term that is in
+        several groups is listed once, in the first one."""
+        found: dict[int, tuple[str, Observation, Callable]] = {}
+        for group, terms in self.terms.items():
+            for term, read in terms:
+                found.setdefault(id(term), (f"{group}/{term.name}", term, read))
+        return list(found.values())
+
+    @functools.cached_property
     def delayed(self) -> dict[str, tuple[int, int]]:
         """The delays of the action and of observations, by name."""
-        task = self.task
-        out = {} if task.action_delay == (0, 0) else {"action": task.action_delay}
-        for group, terms in task.observations.items():
-            out |= {f"{group}/{t.name}": t.delay for t in terms if t.delay != (0, 0)}
-        return out
+        out = {} if self.task.action_delay == (0, 0) else {"action": self.task.action_delay}
+        return out | {name: t.delay for name, t, _ in self.unique_terms if t.delay != (0, 0)}
 
     def begin(self, key: jax.Array, params: Params) -> EnvState:
         """Return the state of a new episode. The buffers of observations are left out."""
@@ -186,26 +194,28 @@ class ControlStep:
         """
         params = self.with_drawn(params, state.drawn)
         to = self.transition(state, state, params)
-        out, buffers = {}, dict(state.buffers)
-        for group, terms in self.terms.items():
-            values = []
-            for term, read in terms:
-                value = check_vector(f"observation {term.name!r}", self.task, read(to), self.dtype)
-                name = f"{group}/{term.name}"
-                if name in self.delayed:
-                    first = jnp.broadcast_to(value, (self.delayed[name][1] + 1, *value.shape))
-                    if fresh is None:
-                        buffers[name] = first
-                    else:
-                        pushed = jnp.concatenate([value[None], buffers[name][:-1]])
-                        buffers[name] = jnp.where(fresh, first, pushed)
-                    value = _row(buffers[name], state.delays[name])
-                if np.any(np.asarray(term.noise)):
-                    key, one = jax.random.split(key)
-                    half = params.noise * jnp.asarray(term.noise, self.dtype)
-                    value += half * jax.random.uniform(one, value.shape, self.dtype, -1.0, 1.0)
-                values.append(value)
-            out[group] = jnp.concatenate(values)
+        buffers, values = dict(state.buffers), {}
+        for name, term, read in self.unique_terms:
+            value = check_vector(f"observation {term.name!r}", self.task, read(to), self.dtype)
+            if name in self.delayed:
+                first = jnp.broadcast_to(value, (self.delayed[name][1] + 1, *value.shape))
+                if fresh is None:
+                    buffers[name] = first
+                else:
+                    pushed = jnp.concatenate([value[None], buffers[name][:-1]])
+                    buffers[name] = jnp.where(fresh, first, pushed)
+                value = _row(buffers[name], state.delays[name])
+            values[id(term)] = value
+        noisy = [t for _, t, _ in self.unique_terms if np.any(np.asarray(t.noise))]
+        if noisy:  # one draw for all terms: a random number costs as much as a term
+            ends = np.cumsum([values[id(term)].shape[0] for term in noisy])
+            drawn = jax.random.uniform(key, (int(ends[-1]),), self.dtype, -1.0, 1.0)
+            for term, own in zip(noisy, jnp.split(drawn, ends[:-1]), strict=True):
+                values[id(term)] += params.noise * jnp.asarray(term.noise, self.dtype) * own
+        out = {
+            group: jnp.concatenate([values[id(term)] for term, _ in terms])
+            for group, terms in self.terms.items()
+        }
         return (out if len(out) > 1 else out["policy"]), state.replace(buffers=buffers)
 
     def with_drawn(self, params: Params, drawn: dict[str, Any]) -> Params:

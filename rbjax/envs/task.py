@@ -22,7 +22,7 @@ from rbjax.model import Model, State
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation term.
+    """An observation term. In several groups the same object has the same value, noise included.
 
     name: name of the term.
     read: function of a `Transition` that returns a number or (n,); or a sensor

@@ -82,9 +82,10 @@ def g1_joystick(
         *terms.periodic_commands(EVERY), *terms.gait_clock(DT, (0.0, math.pi)),
         *feet.variables(), *(pushed if pushes else ()),
     )  # fmt: skip
+    policy = _policy()
     return Task(
         "g1_joystick", model, start=_start,
-        observations={"policy": _policy(), "critic": _critic(feet)},
+        observations={"policy": policy, "critic": (*policy, *_hidden(feet))},
         rewards=_rewards(model, feet),
         action=Offset(HOME, 0.5),
         variables=variables,
@@ -138,10 +139,9 @@ def _policy() -> tuple[Observation, ...]:
     )
 
 
-def _critic(feet: terms.Feet) -> tuple[Observation, ...]:
-    """Return the observations of the policy, and what a robot cannot measure."""
+def _hidden(feet: terms.Feet) -> tuple[Observation, ...]:
+    """Return the observations that a robot cannot measure."""
     return (
-        *_policy(),
         Observation("true_gyro", Gyro(PELVIS)),
         Observation("accelerometer", Accelerometer(PELVIS)),
         Observation("true_gravity", terms.gravity_direction(PELVIS)),

@@ -95,9 +95,10 @@ def _task(name: str, model: Model, height: float, pushes: bool, randomise: bool)
     feet = terms.Feet(FEET, tuple((foot, "floor") for foot in FEET))
     pushed, push = terms.force_pushes(DT)
     variables = (*terms.switched_commands(DT), *feet.variables(), *(pushed if pushes else ()))
+    policy = _policy()
     return Task(
         name, model, start=start(height),
-        observations={"policy": _policy(), "critic": _critic(feet, pushes)},
+        observations={"policy": policy, "critic": (*policy, *_hidden(feet, pushes))},
         rewards=_rewards(model, feet),
         action=Offset(HOME, 0.5),
         variables=variables,
@@ -144,8 +145,8 @@ def _policy() -> tuple[Observation, ...]:
     )
 
 
-def _critic(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
-    """Return the observations of the policy, and what a robot cannot measure."""
+def _hidden(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
+    """Return the observations that a robot cannot measure."""
 
     def push(t: Any) -> jax.Array:
         if not pushes:
@@ -155,7 +156,6 @@ def _critic(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
         return jnp.concatenate([mass * a, jnp.any(a != 0)[None].astype(a.dtype)])
 
     return (
-        *_policy(),
         Observation("true_gyro", Gyro(IMU)),
         Observation("accelerometer", Accelerometer(IMU)),
         Observation("true_gravity", terms.gravity_direction(IMU)),

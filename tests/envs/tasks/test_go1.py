@@ -183,6 +183,8 @@ def test_reset(env):
         keys, env.default_params.replace(noise=jnp.zeros(())))[0]["policy"])  # fmt: skip
     half = np.repeat([0.1, 0.2, 0.05, 0.03, 1.5, 0.0, 0.0], [3, 3, 3, 12, 12, 12, 3])
     assert (abs(noise) <= half + 1e-12).all()
+    # the critic has the same noise
+    np.testing.assert_array_equal(obs["critic"][:, :48], obs["policy"])
     assert np.allclose(noise.std(0)[:33], half[:33] / np.sqrt(3), rtol=0.15)
 
 
