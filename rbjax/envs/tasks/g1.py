@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from importlib import resources
 from typing import Any
+from xml.etree import ElementTree
 
 import jax
 import jax.numpy as jnp
@@ -73,9 +74,7 @@ def g1_joystick(
         >>> task.model.nu, task.decimation
         (29, 10)
     """
-    model = load(str(resources.files("rbjax.envs") / "robots" / "g1.xml"))
-    if not hand_contacts:
-        model = _feet_only(model)
+    model = _model(hand_contacts)
     feet = terms.Feet(FEET, tuple((foot, "floor") for foot in FEET))
     pushed, push = terms.velocity_pushes(DT)
     variables = (
@@ -99,18 +98,14 @@ def g1_joystick(
     )  # fmt: skip
 
 
-def _feet_only(model: Model) -> Model:
-    """Return the model with the contacts of the feet only."""
-    geoms: Any = model.geoms
-    count = len(FEET)
-    changes = {
-        name: getattr(geoms, name)[:count]
-        for name in (
-            "pair_friction", "pair_solref", "pair_solreffriction", "pair_solimp", "pair_margin",
-            "pair_gap", "pairs", "pair_condim",
-        )
-    }  # fmt: skip
-    return model.replace(geoms=geoms.replace(**changes))
+def _model(hand_contacts: bool) -> Model:
+    """Load the robot, with or without the contact pairs of hands and thighs."""
+    root = ElementTree.fromstring((resources.files("rbjax.envs") / "robots/g1.xml").read_text())
+    pairs: Any = root.find("contact")
+    for pair in list(pairs):
+        if not hand_contacts and pair.get("name", "").endswith("hand_thigh"):
+            pairs.remove(pair)
+    return load(ElementTree.tostring(root, encoding="unicode"))
 
 
 def _start(key: jax.Array, params: Params) -> State:

@@ -214,3 +214,26 @@ def test_reset(env):
     assert ((values["gait_rate"] >= 1.25) & (values["gait_rate"] <= 1.5)).all()
     assert np.allclose(values["phase"], [0, np.pi])
     assert ((values["push_steps"] >= 250) & (values["push_steps"] <= 500)).all()
+
+
+def test_without_hand_contacts():
+    task = rb.envs.tasks()["g1_joystick"](hand_contacts=False, pushes=False, randomise=True)
+    geoms = task.model.geoms
+    names = [{geoms.names[i] for i in pair} for pair in geoms.pairs]
+    assert names == [{foot, "floor"} for foot in FEET] and geoms.pair_friction.shape == (2, 5)
+    env = rb.envs.Environment(task)
+    keys = jax.random.split(jax.random.key(0), 4)
+    _, state = jax.vmap(env.reset)(keys)
+    _, after, *_ = jax.vmap(env.step_once)(keys, state, jnp.zeros((4, 29)))
+    for i in range(4):
+        model, drawn = walking.compiled("g1"), jax.tree.map(lambda x, i=i: x[i], state.drawn)
+        model.pair_friction[:2, :2] = drawn["floor_friction"]
+        model.pair_margin[2:] = -10.0  # hands and thighs do not touch
+        model.dof_frictionloss[:] *= drawn["friction_loss"]
+        model.dof_armature[:] *= drawn["armature"]
+        model.body_mass[1:] = model.body_mass[1:] * drawn["masses"] + drawn["load"]
+        model.qpos0[:] += drawn["joint_zero"]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        due = walking.Robot(model, state.state.q[i], state.state.v[i], after.ctrl[i]).steps(10)
+        np.testing.assert_allclose(after.state.q[i], due.data.qpos, atol=1e-11)
+        np.testing.assert_allclose(after.state.v[i], due.data.qvel, atol=1e-9)
