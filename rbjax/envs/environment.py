@@ -3,8 +3,9 @@
     reset: state ~ start,  o = observations(state)
     step:  u = action map(a),  events,  physics (decimation steps),  variables, rewards,
            terminations,  reset by select if the episode ends,  observations
-A batch under `vmap` runs as three kernels: before the physics, the physics, after it. One kernel
-for all is slower, because values that later terms need occupy registers during the physics.
+A batch under `vmap` is one kernel. If the robot has contacts, it is three kernels: before the
+physics, the physics, after it. One kernel would be slower, because values that later terms need
+occupy registers while the contact problems are solved.
 """
 
 from __future__ import annotations
@@ -226,8 +227,10 @@ class Environment:
         model = on_threads(params.model, self.dtype)
         if not self.task.randomise:
             model = with_compiled_constants(model, self.dtype)
-        saves = self.task.model.contact is not None
-        return f(own, with_model(params, model), functools.partial(run_sample, saves=saves))
+        params = with_model(params, model)
+        if self.task.model.contact is None:
+            return run_sample(lambda own, params: f(own, params, _plain), own, params)
+        return f(own, params, functools.partial(run_sample, saves=True))
 
     def _reset(self, own: tuple, params: Params, part: Callable) -> tuple[Any, EnvState]:
         return part(self._first, own, params)
