@@ -55,8 +55,8 @@ SHAC: dict[str, Any] = {
     "rate": 2e-3, "critic_rate": 2e-3, "critic_steps": 16, "hidden": (128, 64), "reports": 20,
 }  # fmt: skip
 CART_POLE_SHAC = {
-    "steps": 1_000_000, "batch": 128, "rate": 1e-2, "critic_rate": 2e-3, "hidden": (32, 16),
-    "std": 0.2, "discount": 0.99,
+    "steps": 1_000_000, "batch": 128, "horizon": 16, "rate": 1e-2, "discount": 0.98, "std": 0.2,
+    "hidden": (32, 16),
 }  # fmt: skip
 
 TASKS: dict[str, dict[str, Mapping[str, Any]]] = {

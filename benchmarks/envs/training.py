@@ -1,0 +1,102 @@
+"""Time of trainings: seconds with compiling, steps, and the curve of the reward.
+
+    python -m benchmarks.envs.training --task go1_joystick_flat --algorithm ppo --seconds 500
+    python -m benchmarks.envs.training --task cart_pole_swing_up --algorithm shac --goal 800
+
+prints a line for each report and writes results/training-TASK-ALGORITHM-<device>.json after each,
+so that a run that is cut leaves what it reached; and with --out a folder with table.csv, chart.png
+and the checkpoint. f32. The clock starts before the environment is made. --goal stops the training
+at a reward of an episode. --set changes a setting: --set num_envs=4096.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+
+import rbjax as rb
+from benchmarks.shared.timing import markdown_table, save
+from rbjax.envs.learning.proximal import ppo
+from rbjax.envs.learning.report import Monitor
+from rbjax.envs.learning.training import shac_arguments
+
+COLUMNS = ("seconds", "steps", "steps_per_second", "reward", "reward_std", "length")
+
+
+class GoalReached(Exception):
+    """The reward of an episode is that of --goal."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--task", required=True)
+    parser.add_argument("--algorithm", default="ppo", choices=("ppo", "shac"))
+    parser.add_argument("--seconds", type=float, default=540.0)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--goal", type=float)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--devices", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--episodes", type=int, default=256, help="of the last evaluation; 0: none")
+    given = parser.parse_args()
+    jax.numpy.zeros(1).block_until_ready()  # the device is awake
+
+    learning = rb.envs.learning
+    began = time.perf_counter()
+    env = rb.envs.make(given.task)
+    chosen = learning.settings(given.task, given.algorithm)
+    chosen |= {} if given.steps is None else {"steps": given.steps}
+    changed = dict(pair.split("=", 1) for pair in given.set)
+    chosen |= {name: ast.literal_eval(value) for name, value in changed.items()}
+    row: dict[str, Any] = {
+        "task": given.task, "algorithm": given.algorithm, "seed": given.seed,
+        "devices": given.devices, "settings": chosen, "made_s": time.perf_counter() - began,
+    }  # fmt: skip
+    name = f"training-{given.task}-{given.algorithm}".replace("_", "-")
+    last: dict[str, Any] = {}
+
+    with Monitor(given.task, chosen["steps"], given.out) as monitor:
+
+        def report(steps: int, figures: Any, policy: Any) -> None:
+            monitor(steps, figures)
+            last["policy"] = policy
+            keep = [{k: x for k, x in r.items() if k in COLUMNS} for r in monitor.rows]
+            row.update(seconds=time.perf_counter() - began, steps=steps, curve=keep)
+            save(name, [row])
+            if given.out is not None and policy is not None:
+                learning.save_policy(given.out, policy, given.task, {}, chosen)
+            if given.goal is not None and figures["reward"] >= given.goal:
+                raise GoalReached
+
+        more = {"devices": given.devices, "seconds": given.seconds, "report": report}
+        key = jax.random.key(given.seed)
+        row["goal"] = given.goal
+        try:
+            if given.algorithm == "ppo":
+                ppo(env, key, **chosen, **more)
+            else:
+                learning.shac(env, key, **shac_arguments(chosen), **more)
+        except GoalReached:
+            row["goal_reached_s"] = time.perf_counter() - began
+    if given.episodes:
+        found = learning.evaluate(env, last["policy"], jax.random.key(1), given.episodes)
+        row["evaluation"] = {
+            "episodes": given.episodes, "return": float(found.returns.mean()),
+            "std": float(found.returns.std()), "length": float(found.lengths.mean()),
+            "terminated": float(found.terminated.mean()),
+        }  # fmt: skip
+        print(row["evaluation"])
+    print(save(name, [row]))
+    print(markdown_table(row["curve"], COLUMNS))
+
+
+if __name__ == "__main__":
+    main()
