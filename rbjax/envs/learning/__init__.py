@@ -4,7 +4,7 @@ Files:
     training.py: `train`, a policy for a named task, with progress, table, chart and checkpoint.
     task_settings.py: settings of trainings by task and algorithm.
     proximal.py: proximal policy optimisation, by Brax.
-    brax_training.py: an environment as Brax trains on it; conversion of its networks.
+    brax_networks.py: conversion of networks that Brax trained.
     short_horizon.py: SHAC, short-horizon actor-critic.
     whole_episodes.py: back-propagation through whole episodes.
     samples.py: a batch of episodes that advances with a policy, differentiably.

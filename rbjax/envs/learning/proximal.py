@@ -20,13 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.envs.learning.brax_training import (
-    BraxBatch,
-    brax_modules,
-    convert_critic,
-    convert_policy,
-    names_of_jax,
-)
+from rbjax.envs.adapters import to_brax, wrap_brax
+from rbjax.envs.learning.brax_networks import convert_critic, convert_policy
 from rbjax.envs.learning.checks import check_training
 from rbjax.envs.learning.critic import Critic
 from rbjax.envs.learning.policy import Policy
@@ -102,14 +97,19 @@ def ppo(
             f"ppo: batch_size * num_minibatches is {batch}, expected a multiple of num_envs, "
             f"{num_envs}"
         )
-    brax_train, networks, State = brax_modules()
-    grouped = isinstance(env.observation_size, dict)
-    critic_group = "critic" if grouped and "critic" in env.observation_size else "policy"
+    brax_env = to_brax(env)
+    from brax.training.agents.ppo.networks import make_ppo_networks
+    from brax.training.agents.ppo.train import train as brax_train
+
+    groups = brax_env.observation_size
+    critic_group = "state"
+    if isinstance(groups, dict) and "privileged_state" in groups:
+        critic_group = "privileged_state"
     factory = functools.partial(
-        networks.make_ppo_networks,
+        make_ppo_networks,
         policy_hidden_layer_sizes=tuple(policy_hidden),
         value_hidden_layer_sizes=tuple(value_hidden),
-        **({"policy_obs_key": "policy", "value_obs_key": critic_group} if grouped else {}),
+        value_obs_key=critic_group,
     )
     began, rewards, last = time.perf_counter(), [], {}
 
@@ -131,16 +131,15 @@ def ppo(
 
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
     try:
-        with names_of_jax():
-            _, parameters, _ = brax_train(
-                environment=BraxBatch(env, State), wrap_env=False, num_timesteps=steps,
-                num_envs=num_envs, episode_length=env.episode, network_factory=factory,
-                normalize_observations=True, discounting=discounting,
-                reward_scaling=reward_scaling, seed=seed, num_evals=reports + 1,
-                num_eval_envs=evaluations, deterministic_eval=True, progress_fn=progress,
-                policy_params_fn=remember, max_devices_per_host=devices or 1,
-                restore_params=restore, **settings,
-            )  # fmt: skip
+        _, parameters, _ = brax_train(
+            environment=brax_env, wrap_env_fn=wrap_brax, num_timesteps=steps,
+            num_envs=num_envs, episode_length=env.episode, network_factory=factory,
+            normalize_observations=True, discounting=discounting,
+            reward_scaling=reward_scaling, seed=seed, num_evals=reports + 1,
+            num_eval_envs=evaluations, deterministic_eval=True, progress_fn=progress,
+            policy_params_fn=remember, max_devices_per_host=devices or 1,
+            restore_params=restore, **settings,
+        )  # fmt: skip
         last["parameters"] = parameters
     except TimeIsUp:
         pass
@@ -162,7 +161,7 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, float]:
     for name, x in metrics.items():
         if name.startswith("eval/episode_") and not name.endswith("_std"):
             term = name.removeprefix("eval/episode_")
-            named |= {} if term == "reward" else {f"reward/{term}": x}
+            named |= {term: x} if term.startswith("reward/") else {}
         elif name.startswith("training/"):
             named[name] = x
     return {name: float(x) for name, x in named.items()}

@@ -67,7 +67,9 @@ class Monitor:
         text = _sentence(self.rows[-1], self.steps)
         self._say(text)
         if self.show and not self._console.is_terminal:
-            self._console.print(f"{seconds:6.1f} s  {self.label}: {text}", highlight=False, soft_wrap=True)
+            self._console.print(
+                f"{seconds:6.1f} s  {self.label}: {text}", highlight=False, soft_wrap=True
+            )
         if self.folder is not None:
             write_table(self.rows, self.folder / "table.csv")
 

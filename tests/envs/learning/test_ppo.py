@@ -7,7 +7,7 @@ import pytest
 
 from rbjax.envs import Observation
 from rbjax.envs.learning import ppo
-from rbjax.envs.learning.brax_training import BraxBatch, brax_modules, convert_critic
+from rbjax.envs.learning.brax_networks import convert_critic
 from rbjax.errors import InputError
 from tests.envs.learning.pole import KEY, environment, observe
 
@@ -36,43 +36,24 @@ def test_the_policy_and_the_critic_are_those_of_brax():
             report=lambda steps, figures, policy: seen.append((steps, figures, policy)),
             keep=kept.update,
         )  # fmt: skip
+        sizes = {"state": (2,), "privileged_state": (4,)}
         made = networks.make_ppo_networks(
-            {"policy": (2,), "critic": (4,)}, 1, running_statistics.normalize, (8, 4), (8,),
-            policy_obs_key="policy", value_obs_key="critic",
-        )  # fmt: skip
+            sizes, 1, running_statistics.normalize, (8, 4), (8,), value_obs_key="privileged_state"
+        )
         obs = {"policy": jnp.array([0.3, -0.2]), "critic": jnp.array([0.3, -0.2, 1.0, 2.0])}
         parameters = kept["parameters"]
         act = networks.make_inference_fn(made)(parameters, deterministic=True)
-        want = 20.0 * act(obs, KEY)[0]  # the range of the force
+        theirs = {"state": obs["policy"], "privileged_state": obs["critic"]}
+        want = 20.0 * act(theirs, KEY)[0]  # the range of the force
         assert np.abs(found.policy(obs) - want).max() < 1e-5
-        V = made.value_network.apply(parameters[0], parameters[2], obs)
-        assert abs(convert_critic(parameters, "critic", 0.5)(obs) - 0.5 * V) < 1e-6
+        V = made.value_network.apply(parameters[0], parameters[2], theirs)
+        assert abs(convert_critic(parameters, "privileged_state", 0.5)(obs) - 0.5 * V) < 1e-6
     assert seen[0][0] == 0 and len(seen) == 3
     assert seen[1][0] < seen[2][0] >= 200
     assert {"reward", "reward_std", "length", "reward/upright"} <= set(seen[1][1])
     assert abs(seen[1][1]["reward"] - seen[1][1]["reward/upright"]) < 1e-4
     assert seen[1][2].network.sizes == (2, 8, 4, 2)
     assert found.rewards.shape == (3,) and np.isfinite(found.rewards).all()
-
-
-@pytest.mark.slow
-def test_a_batch_of_brax_is_the_environment():
-    """A step of Brax' state, the end of an episode, and actions of -1..1 over the range."""
-    with jax.enable_x64(False):
-        env = environment(episode=2)
-        batch = BraxBatch(env, brax_modules()[2])
-        state = batch.reset(jax.random.split(jax.random.PRNGKey(0), 3))
-        assert state.obs.shape == (3, 4) and state.info["steps"].tolist() == [0] * 3
-        action = jnp.array([[-1.0], [0.0], [0.5]])
-        after = jax.jit(batch.step)(state, action)
-        assert after.pipeline_state.ctrl[:, 0].tolist() == [-20.0, 0.0, 10.0]
-        assert after.done.tolist() == [0] * 3
-        last = jax.jit(batch.step)(after, action)
-        assert last.done.tolist() == [1] * 3 == last.info["truncation"].tolist()
-        assert last.info["steps"].tolist() == [2] * 3
-        total = after.reward + last.reward
-        assert np.abs(last.info["episode_metrics"]["sum_reward"] - total).max() < 1e-5
-        assert last.pipeline_state.step.tolist() == [0] * 3
 
 
 def test_bad_input():

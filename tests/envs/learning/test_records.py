@@ -77,6 +77,26 @@ def test_a_training_leaves_a_folder(tmp_path, pole):
     assert env.episode == 6 and (policy(obs) == found.policy(obs)).all()
 
 
+def test_the_command(tmp_path, pole, monkeypatch):
+    """`rbjax train` calls `train` with its options, and says an error in one sentence."""
+    from typer.testing import CliRunner
+
+    from rbjax.cli import app
+
+    seen = {}
+    monkeypatch.setattr(
+        "rbjax.envs.learning.train", lambda *args, **more: seen.update(more, args=args)
+    )
+    result = CliRunner().invoke(
+        app, ["train", pole, "--algorithm", "shac", "--steps", "9", "--out", str(tmp_path)]
+    )
+    assert result.exit_code == 0 and "policy.json" in result.output
+    assert seen["args"] == (pole, "shac") and seen["steps"] == 9 and seen["out"] == tmp_path
+    monkeypatch.undo()
+    result = CliRunner().invoke(app, ["train", "no_task"])
+    assert result.exit_code == 2 and "no_task" in result.stderr
+
+
 def test_bad_input(tmp_path, pole):
     with pytest.raises(InputError, match=r"no policy\.json"):
         load_policy(tmp_path)

@@ -1,0 +1,59 @@
+"""Networks of Brax: conversion of trained parameters to a `Policy` and a `Critic`.
+
+Brax' networks have hidden layers with swish, and inputs normalised by running statistics. Its
+policy returns mean and raw standard deviation of a normal distribution, whose samples pass tanh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.envs.learning.critic import Critic
+from rbjax.envs.learning.networks import Network, Normaliser
+from rbjax.envs.learning.policy import Policy
+
+
+def finite_range(env: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the action range of an environment, with -1..1 for actions without limits."""
+    low, high = (np.asarray(x, np.float32) for x in env.action_range)
+    limited = np.isfinite(high - low)
+    return np.where(limited, low, -1.0), np.where(limited, high, 1.0)
+
+
+def convert_policy(env: Any, parameters: Any) -> Policy:
+    """Convert Brax' parameters (statistics, policy, value) to a `Policy` with the same actions."""
+    low, high = (jnp.asarray(x) for x in finite_range(env))
+    net = convert_network(parameters[1])
+    return Policy(net, convert_statistics(parameters[0], "state"), None, low, high)
+
+
+def convert_critic(parameters: Any, group: str, factor: float) -> Critic:
+    """Convert Brax' value function to a `Critic`. factor: from its unit to that of a critic."""
+    net = convert_network(parameters[2])
+    last = (factor * net.weights[-1], factor * net.biases[-1])
+    net = Network((*net.weights[:-1], last[0]), (*net.biases[:-1], last[1]), net.activation)
+    return Critic(net, convert_statistics(parameters[0], group))
+
+
+def convert_network(parameters: Mapping[str, Any]) -> Network:
+    """Convert a network of Brax, whose activation is swish, to a `Network`."""
+    layers = parameters["params"]
+    names = sorted(layers, key=lambda name: int(name.rsplit("_", 1)[1]))
+    weights = tuple(jnp.asarray(layers[name]["kernel"]).T for name in names)
+    return Network(weights, tuple(jnp.asarray(layers[name]["bias"]) for name in names), "silu")
+
+
+def convert_statistics(statistics: Any, group: str) -> Normaliser:
+    """Convert Brax' running statistics of an observation group."""
+    mean, std = statistics.mean, statistics.std
+    if isinstance(mean, Mapping):
+        mean, std = mean[group], std[group]
+    count = statistics.count
+    count = float(int(count)) if hasattr(count, "lo") else float(count)
+    return Normaliser(
+        jnp.asarray(mean), jnp.asarray(std), jnp.asarray(count, mean.dtype), float("inf")
+    )
