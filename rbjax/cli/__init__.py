@@ -1,8 +1,8 @@
 """The command line: `rbjax info | simulate | identify | validate | bench | demo | train |
 --version`.
 
-Commands compute in f64, inside `jax.enable_x64`; `train` in f32. A `RbjaxError` prints one sentence and sets exit
-code 2. `validate` exits with 1 if a quantity is out of tolerance.
+Commands compute in f64, inside `jax.enable_x64`; `train` in f32. A `RbjaxError` prints one sentence
+and sets exit code 2. `validate` exits with 1 if a quantity is out of tolerance.
 
 Files:
     session.py: the application and what all commands share.
