@@ -63,6 +63,7 @@ if TYPE_CHECKING:
         stability,
         sysid,
         validation,
+        viewer,
         wheeled,
     )
     from rbjax import loading as loading
@@ -85,7 +86,7 @@ __version__ = "0.1.0"
 _PACKAGES = (
     "body", "constraints", "contact", "control", "envs", "estimation", "flexible", "forces",
     "kinematics", "loading", "motion", "planning", "plotting", "recommend", "sensors", "solvers",
-    "stability", "sysid", "validation", "wheeled",
+    "stability", "sysid", "validation", "viewer", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "ModelBuilder": "loading",
@@ -207,6 +208,7 @@ __all__ = [
     "tendon_lengths",
     "threads",
     "validation",
+    "viewer",
     "wheeled",
     "write_back",
     "write_mjcf",

@@ -3,6 +3,7 @@
 import functools
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -133,3 +134,22 @@ def test_a_file_that_does_not_parse(tmp_path: Path) -> None:
     file = tmp_path / "broken.xml"
     file.write_text("<mujoco><worldbody>")
     assert "broken.xml" in run("info", str(file), code=2).stderr
+
+
+def test_view_writes_a_page_of_a_trajectory(tmp_path: Path) -> None:
+    saved, page = tmp_path / "swing.npz", tmp_path / "swing.html"
+    args = ("--seconds", "0.1", "--solver", "rk4", "--dt", "0.01", "--out", str(saved))
+    run("simulate", "double_pendulum", *args, "--json")
+    assert "wrote" in run("view", str(saved), "--out", str(page)).stdout
+    assert '"frames": 3' in page.read_text()
+
+
+def test_view_of_nothing_is_a_sentence(tmp_path: Path) -> None:
+    args = ("--out", str(tmp_path / "a.html"))
+    assert "cart_pole_balance" in run("view", "cart_pole_balanse", *args, code=2).stderr
+    assert ".gif, .mp4, .html" in run("view", "pendulum", "--out", "a.txt", code=2).stderr
+
+
+def test_view_without_viser_says_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert "pip install 'rbjax[viewer]'" in run("view", "pendulum", code=2).stderr

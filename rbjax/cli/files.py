@@ -100,7 +100,9 @@ def simulate(
     solver: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "tsit5",
     dt: Annotated[float | None, typer.Option(help="Step in seconds, for fixed steps.")] = None,
     keyframe: Annotated[str | None, typer.Option(help="Start from this state of the file.")] = None,
-    save: Annotated[Path | None, typer.Option("--out", help="Write ts, q, v to this .npz.")] = None,
+    save: Annotated[
+        Path | None, typer.Option("--out", help="Write the trajectory to this .npz.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw to this .png.")] = None,
     video: Annotated[Path | None, typer.Option(help="Animate to .gif, .html or .mp4.")] = None,
     fps: Annotated[float, typer.Option(help="Frames a second of the video.")] = 25.0,
@@ -118,7 +120,7 @@ def simulate(
         path = _simulate(model, seconds, solver, dt, keyframe)
         arrays: dict[str, Any] = {n: np.asarray(getattr(path, n)) for n in ("ts", "q", "v")}
         if save is not None:
-            np.savez(save, **arrays)
+            rb.loading.save_trajectory(save, model, path, source=file)
         if plot is not None:
             say("drawing")
             _plot(plot, file, model, arrays, floating_base)

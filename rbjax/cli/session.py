@@ -26,9 +26,12 @@ Floating = Annotated[bool, typer.Option("--floating-base", help="Free a URDF's r
 
 
 @contextlib.contextmanager
-def session() -> Iterator[None]:
-    """Run a command in f64. Print a `RbjaxError` and exit with code 2. Hide known warnings."""
-    with warnings.catch_warnings(), jax.enable_x64(True):
+def session(*, double: bool = True) -> Iterator[None]:
+    """Run a command in f64, or in f32 if not double.
+
+    Print a `RbjaxError` and exit with code 2. Hide known warnings.
+    """
+    with warnings.catch_warnings(), jax.enable_x64(double):
         warnings.filterwarnings("ignore", message=".*left out of the model")
         try:
             yield

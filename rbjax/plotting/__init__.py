@@ -1,15 +1,17 @@
 """Pictures of robots with matplotlib, without OpenGL or a window: postures, motions, charts.
 
 `draw` shows one posture, and `strobe` a motion in one picture. `animate` writes a GIF, an MP4 or an
-HTML page. All draw a model from its parameters (rods and ellipsoids of inertia) or from its file
-(geoms), with beams as swept tubes and modal bodies as lines between their frames. `top_view` and
-`animate_top_view` show wheeled robots from above.
+HTML page, and `animate_policy` does so for a policy in its environment. All draw a model from its
+parameters (rods and ellipsoids of inertia) or from its file (geoms), with beams as swept tubes and
+modal bodies as lines between their frames. `top_view` and `animate_top_view` show wheeled robots
+from above.
 """
 
 from rbjax.plotting.animation import animate
 from rbjax.plotting.charts import time_plot
 from rbjax.plotting.drawing import bare, draw, draw_solids, strobe
 from rbjax.plotting.film import Camera, poses
+from rbjax.plotting.policies import Episodes, animate_policy, record_policy
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
 from rbjax.plotting.top_views import animate_top_view, top_view
@@ -40,13 +42,16 @@ __all__ = [
     "STYLE",
     "TEAL",
     "Camera",
+    "Episodes",
     "Solid",
     "animate",
+    "animate_policy",
     "animate_top_view",
     "bare",
     "draw",
     "draw_solids",
     "poses",
+    "record_policy",
     "skeleton",
     "solids",
     "strobe",

@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.dynamics import difference, forward_kinematics, integrate
 from rbjax.errors import InputError
-from rbjax.model import Model
+from rbjax.model import WORLD, Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.arguments import configurations
 from rbjax.plotting.flexible_links import station_poses
@@ -193,6 +193,7 @@ def film(
         size = 1.1 * (high - low)[:2]
     lowest = float(robot[..., 2].min())
     floor = 0.0 if -0.01 * extent <= lowest <= 0.6 * extent else lowest - 0.05 * extent
+    floor = _plane_height(model, floor)
     terrain = [s.points[:, 2].min() for s in shapes if s.triangles is not None and s.body < 0]
     floor = float(min(terrain)) - 1e-3 * extent if terrain else floor
     if not follow:
@@ -204,6 +205,19 @@ def film(
     return Film(
         ts, R, p, shapes, camera, floor, centre, size, paths, strong, middle=own, follow=follow
     )
+
+
+def _plane_height(model: Model, otherwise: float) -> float:
+    """Return the height of the highest horizontal plane of a model, m; `otherwise` without one."""
+    geoms, heights = model.geoms, []
+    if geoms is not None:
+        at, turn = np.asarray(geoms.position, float), np.asarray(geoms.orientation, float)
+        heights = [
+            float(at[i, 2])
+            for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True))
+            if kind == "plane" and body == WORLD and np.hypot(*turn[i, 1:3]) < 1e-6
+        ]
+    return max(heights, default=otherwise)
 
 
 def _with_floor(size: Array, centre: Array, camera: Camera, floor: float) -> tuple[Array, Array]:

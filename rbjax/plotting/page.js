@@ -2,7 +2,7 @@
 const film = JSON.parse(document.getElementById("data").textContent);
 const $ = id => document.getElementById(id);
 const canvas = $("view"), gl = canvas.getContext("webgl2", { antialias: true });
-const FIELD = 28 * Math.PI / 180, SUN = [0.3, -0.35, 0.89], WIDTH = 2048;
+const FIELD = 28 * Math.PI / 180, SUN = [0.38, -0.5, 0.78], WIDTH = 2048;
 const reach = Math.max(...film.size);
 let azimuth = film.azimuth, elevation = film.elevation, zoom = 1, moved = [0, 0, 0];
 let clock = 0, playing = true, last = null, rate = film.speed, dirty = true;
@@ -61,7 +61,7 @@ out vec4 pixel;
 void main() {
   if (shadow) { pixel = vec4(0.86, 0.88, 0.9, 1.0); return; }
   vec3 N = normalize(n);
-  float light = 0.5 + 0.12 * N.z + 0.42 * max(dot(N, sun), 0.0);
+  float light = 0.42 + 0.13 * N.z + 0.5 * max(dot(N, sun), 0.0);
   float shine = pow(max(dot(N, normalize(sun + eye)), 0.0), 40.0);
   pixel = vec4(paint.rgb * light + 0.12 * shine, paint.a);
 }`;
@@ -200,13 +200,14 @@ function first(poses) {
   });
 }
 
-function others(given, steps) {
-  const row = 7 * (film.samples - 1) * film.bodies;
+function others(given, bytes) {
+  const row = 7 * (film.samples - 1) * film.bodies, n = bytes.length / 2, steps = new Int16Array(n);
+  for (let i = 0; i < n; i++) steps[i] = bytes[i] | bytes[n + i] << 8;
   for (let i = row; i < steps.length; i++) steps[i] += steps[i - row];  // sums of 16 bits wrap around
   return new Poses(film.samples - 1, given.frames, (frame, out) => {
     for (let i = 0, k = row * frame; k < row * (frame + 1); i++, k += 7) {
       for (let j = 0; j < 3; j++) out[8 * i + j] = given.origin[j] + given.unit[j] * steps[k + j];
-      for (let j = 0; j < 4; j++) out[8 * i + 4 + j] = steps[k + 3 + j] / 32767;
+      for (let j = 0; j < 4; j++) out[8 * i + 4 + j] = steps[k + 3 + j] / 2047;
     }
   });
 }
@@ -246,7 +247,7 @@ function draw(scene) {
     ($("follow").checked ? m[3 * frame + j] + (at - frame) * (m[3 * next + j] - m[3 * frame + j]) - m[j] : 0));
   const eye = camera(target), below = eye.back[2] < 0;
   const crowd = scene.ghosts && $("ghosts").checked;
-  const spread = crowd ? 3 * reach * (+$("spread").value) ** 2 : 0;
+  const spread = crowd ? 2 * reach * (+$("spread").value) ** 2 : 0;
   gl.viewport(0, 0, canvas.width, canvas.height);
   gl.clearColor(1, 1, 1, 1);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -363,7 +364,7 @@ async function build() {
   if (film.ghosts) {
     const few = film.crowd ? await mesh(film.crowd) : whole;
     scene.every = film.ghosts.every;
-    scene.ghosts = { mesh: few, first: 1, poses: others(film.ghosts, await unpack(film.ghosts.poses, Int16Array)) };
+    scene.ghosts = { mesh: few, first: 1, poses: others(film.ghosts, await unpack(film.ghosts.poses, Uint8Array)) };
   }
   scene.square = gl.createVertexArray();
   gl.bindVertexArray(scene.square);

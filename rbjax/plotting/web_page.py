@@ -7,7 +7,8 @@
     bodies      (n,), of the vertices; 65535 for the world
     poses       (F, bodies, 7) of the first sample: position, quaternion; f32
     ghosts      (frames, samples - 1, bodies, 7) of the others, 16-bit integers: differences between
-                successive frames, in units of `unit` from `origin`, and quaternions of 1/32767
+                successive frames of positions in units of `unit` from `origin`, and of quaternions
+                in units of 1/2047; first all low bytes, then all high bytes
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ _MOST_BYTES = 32_000_000
 #: number of ghosts from which their surfaces are coarse
 CROWD = 48
 _WORLD = 65535
+#: unit of positions of ghosts, relative to the picture
+_FINE = 2e-4
 
 
 def write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) -> None:
@@ -78,7 +81,7 @@ def page_data(film: Film, fps: float, speed: float) -> dict[str, Any]:
         "robot": _mesh(film, coarse=False),
         "crowd": _mesh(film, coarse=True) if crowd else None,
         "poses": _packed(poses[0], "<f4"),
-        "ghosts": _ghosts(poses[1:]) if samples > 1 else None,
+        "ghosts": _ghosts(poses[1:], float(film.size.max())) if samples > 1 else None,
         "paths": [_packed(p, "<f4") for p in film.paths],
         "strong": film.strong,
         "pushes": 0 if film.arrows is None else film.arrows.shape[1],
@@ -114,15 +117,15 @@ def _mesh(film: Film, *, coarse: bool) -> dict[str, Any]:
     }
 
 
-def _ghosts(poses: Array) -> dict[str, Any]:
+def _ghosts(poses: Array, size: float) -> dict[str, Any]:
     """Round the poses (S, F, n, 7) of the samples after the first. With many of them only every
-    k-th frame is kept."""
+    k-th frame is kept. size: of the picture, m."""
     every = max(1, int(np.ceil(2 * poses.size / _MOST_BYTES)))
     kept = np.moveaxis(poses[:, ::every], 0, 1)
     low, high = kept[..., :3].min((0, 1, 2)), kept[..., :3].max((0, 1, 2))
-    unit = np.maximum(high - low, 1e-9) / 65535
+    unit = np.maximum((high - low) / 65535, _FINE * size)
     place = np.round((kept[..., :3] - low) / unit) - 32768
-    turn = np.round(32767 * kept[..., 3:])
+    turn = np.round(2047 * kept[..., 3:])
     rounded = np.concatenate([place, turn], -1).astype("<i2")
     steps = np.diff(rounded, axis=0, prepend=np.zeros_like(rounded[:1]))  # wraps around
     return {
@@ -130,7 +133,7 @@ def _ghosts(poses: Array) -> dict[str, Any]:
         "frames": len(rounded),
         "origin": (low + 32768 * unit).tolist(),
         "unit": unit.tolist(),
-        "poses": _packed(steps, "<i2"),
+        "poses": _packed(np.ascontiguousarray(steps).view("u1").reshape(-1, 2).T, "u1"),
     }
 
 

@@ -1,0 +1,202 @@
+"""Policies in motion: episodes of an environment as a trajectory, and as an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax import contact as contacts_of
+from rbjax.arguments import instance, integer, real_number
+from rbjax.contact import ContactForces
+from rbjax.envs import Environment, EnvState, Params
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting.animation import animate, writable
+from rbjax.plotting.solid_shapes import solids
+
+Policy = Callable[[Any, jax.Array], jax.Array]
+
+
+class Episodes(NamedTuple):
+    """Recorded motion of an environment.
+
+    trajectory: q (samples, T, nq), v (samples, T, nv) at control steps. An episode that ends is
+        followed by the next one.
+    reward: (samples, T - 1), of each step.
+    done: (samples, T - 1), whether an episode ended with the step.
+    contacts: contact forces of the first sample at each time; None without a contact law.
+    """
+
+    trajectory: Trajectory
+    reward: np.ndarray
+    done: np.ndarray
+    contacts: ContactForces | None
+
+
+def record_policy(
+    env: Environment,
+    policy: Policy | None = None,
+    *,
+    seconds: float | None = None,
+    samples: int = 1,
+    seed: int = 0,
+    params: Params | None = None,
+) -> Episodes:
+    """Run a policy in an environment and return the motion.
+
+    Args:
+        env: the environment.
+        policy: function (observation, key) that returns an action (na,); None for random actions,
+            uniform in `env.action_range`.
+        seconds: duration; None for one episode, or 10 s of a longer one.
+        samples: number of robots.
+        seed: of the random numbers.
+        params: parameters of the environment; None for its own.
+
+    Returns:
+        `Episodes`: the trajectory, rewards, ends of episodes, contact forces of the first robot.
+
+    Raises:
+        InputError: not an environment, or a policy that is not a function.
+
+    Example:
+        >>> import rbjax as rb
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> found = rb.plotting.record_policy(env, seconds=0.1, samples=3)
+        >>> found.reward.shape[0], found.trajectory.q.shape[-1]
+        (3, 2)
+    """
+    instance("record_policy", "env", env, Environment, "rb.envs.Environment")
+    if policy is not None and not callable(policy):
+        raise InputError(
+            f"record_policy: policy is {type(policy).__name__}, expected a function of an "
+            "observation and a key, or None for random actions"
+        )
+    samples = integer("record_policy", "samples", samples, least=1)
+    longest = min(env.episode * env.dt, 10.0) if seconds is None else seconds
+    least = real_number("record_policy", "seconds", longest, least=0.0)
+    steps = max(1, round(least / env.dt))
+    act = _random_actions(env) if policy is None else policy
+    first, key = jax.random.split(jax.random.key(seed))
+    obs, state = jax.vmap(env.reset, (0, None))(jax.random.split(first, samples), params)
+
+    def one(carry: tuple, key: jax.Array) -> tuple:
+        obs, state = carry
+        chosen, stepped = (jax.random.split(k, samples) for k in jax.random.split(key))
+        action = jax.vmap(act)(obs, chosen)
+        obs, state, reward, done, _ = jax.vmap(env.step, (0, 0, 0, None))(
+            stepped, state, action, params
+        )
+        return (obs, state), (_kept(state), reward, done)
+
+    start = _kept(state)
+    run = jax.jit(lambda carry, keys: jax.lax.scan(one, carry, keys)[1])
+    moved, reward, done = run((obs, state), jax.random.split(key, steps))
+    states, ctrl, drawn = jax.tree.map(
+        lambda a, b: np.moveaxis(np.concatenate([np.asarray(a)[None], np.asarray(b)]), 0, 1),
+        start, moved,
+    )  # fmt: skip
+    ts = env.dt * np.arange(steps + 1)
+    ok = np.isfinite(states.q).all((1, 2))
+    trajectory = Trajectory(
+        jnp.asarray(ts), jnp.asarray(states.q), jnp.asarray(states.v), jnp.asarray(ok)
+    )
+    model = env.default_params.model if params is None else params.model
+    first_sample = jax.tree.map(lambda x: x[0], (states, ctrl, drawn))
+    contacts = _contacts(env, model, *first_sample)
+    return Episodes(trajectory, np.moveaxis(np.asarray(reward), 0, 1), np.asarray(done).T, contacts)
+
+
+def animate_policy(
+    env: Environment,
+    policy: Policy | None,
+    path: str | Path,
+    *,
+    seconds: float | None = None,
+    samples: int = 1,
+    seed: int = 0,
+    params: Params | None = None,
+    source: Any = None,
+    title: str | None = None,
+    **options: Any,
+) -> Path:
+    """Write an animation of a policy in its environment, with the contact forces.
+
+    Use it to look at a trained policy, or at a task with random actions. An HTML page shows
+    thousands of robots, GIF and MP4 a few.
+
+    Args:
+        env: the environment.
+        policy: function (observation, key) that returns an action (na,); None for random actions.
+        path: the file to write: .html, .gif or .mp4.
+        seconds: duration; None for one episode, or 10 s of a longer one.
+        samples: number of robots; the first is drawn in full colour.
+        seed: of the random numbers.
+        params: parameters of the environment; None for its own.
+        source: a robot file whose geoms are drawn; None for the geoms of the model.
+        title: text at the top; None for the name of the task.
+        options: of `rbjax.plotting.animate`, such as fps, speed, follow, trace, camera, size.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: another suffix, not an environment, wrong options.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> import rbjax as rb
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "random.html"
+        >>> rb.plotting.animate_policy(env, None, file, seconds=0.2, samples=100).name
+        'random.html'
+    """
+    path = Path(path)
+    writable(path)
+    found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed, params=params)
+    model = env.task.model
+    options = {"samples": samples, "contacts": found.contacts} | options
+    title = env.task.name.replace("_", " ") if title is None else title
+    shapes = drawn_source(model) if source is None else source
+    return animate(model, found.trajectory, path, source=shapes, title=title, **options)
+
+
+def drawn_source(model: Model) -> Model | None:
+    """Return the model if it has geoms to draw, else None, which draws rods and ellipsoids."""
+    return model if any(s.body >= 0 for s in solids(model)) else None
+
+
+def _kept(state: EnvState) -> tuple:
+    """Return the parts of a state that the drawing needs."""
+    motion = state.state
+    return State(motion.q, motion.v, motion.x), state.ctrl, state.drawn
+
+
+def _random_actions(env: Environment) -> Policy:
+    low, high = (np.nan_to_num(x, posinf=1.0, neginf=-1.0) for x in env.action_range)
+
+    def act(obs: Any, key: jax.Array) -> jax.Array:
+        return jax.random.uniform(key, (env.action_size,), env.dtype, low, high)
+
+    return act
+
+
+def _contacts(env: Environment, model: Model, states: Any, ctrl: Any, drawn: Any) -> Any:
+    """Solve for the contact forces of one robot at all times; None without a contact law."""
+    law = env.task.model.contact
+    if law is None:
+        return None
+
+    def forces(state: State, ctrl: jax.Array, drawn: Any) -> ContactForces:
+        own = model
+        for r in env.task.randomise:
+            own = r.apply(own, drawn[r.name])
+        return contacts_of.solve(own, state, ctrl, contact=law, dt=env.task.dt).contacts
+
+    return jax.jit(jax.vmap(forces))(states, ctrl, drawn)

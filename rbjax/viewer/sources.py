@@ -1,0 +1,134 @@
+"""What there is to show: of a robot file, a saved trajectory, a task, a policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from rbjax.envs import Environment, make, tasks
+from rbjax.errors import UnknownName
+from rbjax.loading import load, load_trajectory, scenes
+from rbjax.model import Model
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting.animation import animate
+from rbjax.plotting.policies import drawn_source, record_policy
+from rbjax.viewer.viewing import Viewer, view
+
+
+class Subject(NamedTuple):
+    """A robot and its motion, and how to show them.
+
+    model: the robot.
+    trajectory: its motion; None for a posture.
+    source: of its shapes.
+    contacts: contact forces of the first sample, or None.
+    title: text at the top.
+    floating_base: as in `rbjax.load`, for a source that is a URDF.
+    """
+
+    model: Model
+    trajectory: Trajectory | None
+    source: Any
+    contacts: Any
+    title: str
+    floating_base: bool = False
+
+    def view(self, **options: Any) -> Viewer:
+        """Show it in the browser. options: of `rbjax.viewer.view`."""
+        given = {"title": self.title, "contacts": self.contacts} | options
+        return view(
+            self.model, self.trajectory, source=self.source, floating_base=self.floating_base,
+            **given,
+        )  # fmt: skip
+
+    def animate(self, path: str | Path, **options: Any) -> Path:
+        """Write it as an HTML page, a GIF or an MP4. options: of `rbjax.plotting.animate`."""
+        motion = at_rest(self.model) if self.trajectory is None else self.trajectory
+        samples = 1000 if Path(path).suffix == ".html" else 8
+        given = {"title": self.title, "contacts": self.contacts, "samples": samples} | options
+        return animate(
+            self.model, motion, path, source=self.source, floating_base=self.floating_base, **given
+        )
+
+
+def at_rest(model: Model) -> Trajectory:
+    """Return a trajectory of one time: the default state."""
+    state = model.default_state()
+    return Trajectory(jnp.zeros(1), state.q[None], state.v[None], jnp.array(True))
+
+
+def subject_of(
+    what: str | Path,
+    *,
+    floating_base: bool = False,
+    samples: int = 1,
+    seconds: float | None = None,
+    seed: int = 0,
+) -> Subject:
+    """Return what there is to show of a robot file, a file of a trajectory, or a task by name.
+
+    A task moves with random actions.
+
+    Args:
+        what: an MJCF or URDF file or a bundled scene; an .npz of `rb.loading.save_trajectory`; a
+            name of `rb.envs.tasks`.
+        floating_base: as in `rbjax.load`, for a URDF.
+        samples: number of robots of a task.
+        seconds: duration of a task; None for one episode, or 10 s of a longer one.
+        seed: of the random numbers of a task.
+
+    Raises:
+        UnknownName: no such file, scene or task.
+        InputError, ModelError: a file that cannot be read.
+
+    Example:
+        >>> from rbjax.viewer import subject_of
+        >>> subject_of("double_pendulum").model.nq
+        2
+    """
+    text = str(what)
+    if text.endswith(".npz"):
+        model, trajectory, source = load_trajectory(what)
+        shapes = source or drawn_source(model)
+        return Subject(model, trajectory, shapes, None, Path(text).stem)
+    plain = text.isidentifier() and not Path(text).exists()
+    if plain and text not in scenes():
+        if text not in tasks():
+            both = {"task": [*tasks()], "scene": [*scenes()]}
+            raise UnknownName("file, scene or task", text, apart=both)
+        options: Any = {"samples": samples, "seconds": seconds, "seed": seed}
+        return subject_of_policy(make(text), None, **options)
+    model = load(what, floating_base=floating_base or None)
+    title = "robot" if text.lstrip().startswith("<") else Path(text).stem
+    return Subject(model, None, what, None, title, floating_base)
+
+
+def subject_of_policy(
+    env: Environment,
+    policy: Any,
+    *,
+    samples: int = 1,
+    seconds: float | None = None,
+    seed: int = 0,
+) -> Subject:
+    """Return the motion of a policy in its environment.
+
+    Args:
+        env: the environment.
+        policy: function (observation, key) that returns an action; None for random actions.
+        samples: number of robots.
+        seconds: duration; None for one episode, or 10 s of a longer one.
+        seed: of the random numbers.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.viewer import subject_of_policy
+        >>> env = rb.envs.make("cart_pole_balance")
+        >>> subject_of_policy(env, None, samples=2, seconds=0.1).trajectory.q.shape
+        (2, 11, 2)
+    """
+    found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed)
+    model, title = env.task.model, env.task.name.replace("_", " ")
+    return Subject(model, found.trajectory, drawn_source(model), found.contacts, title)

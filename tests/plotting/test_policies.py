@@ -1,0 +1,74 @@
+"""Policies in motion: recorded episodes against `env.step`, and their animations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.plotting import animate_policy, record_policy
+
+
+@pytest.fixture(scope="module")
+def env() -> rb.envs.Environment:
+    return rb.envs.make("cart_pole_balance")
+
+
+def test_a_recording_is_the_motion_of_the_environment(env) -> None:
+    """Without resets: the same states as steps of a loop with the same keys."""
+
+    def policy(obs, key):
+        return 0.3 * jnp.tanh(obs[:1])
+
+    found = record_policy(env, policy, seconds=4 * env.dt, samples=2, seed=3)
+    first, key = jax.random.split(jax.random.key(3))
+    obs, state = jax.vmap(env.reset)(jax.random.split(first, 2))
+    np.testing.assert_array_equal(found.trajectory.q[:, 0], state.state.q)
+    for i, step in enumerate(jax.random.split(key, 4)):
+        _, stepped = (jax.random.split(k, 2) for k in jax.random.split(step))
+        action = 0.3 * jnp.tanh(obs[:, :1])
+        obs, state, reward, done, _ = jax.vmap(env.step)(stepped, state, action)
+        np.testing.assert_allclose(found.trajectory.q[:, i + 1], state.state.q, atol=1e-9)
+        np.testing.assert_allclose(found.reward[:, i], reward, atol=1e-9)
+    assert found.done.shape == (2, 4) and found.trajectory.ok.all()
+    np.testing.assert_allclose(found.trajectory.ts, env.dt * np.arange(5))
+
+
+def test_random_actions_differ_between_samples(env) -> None:
+    q = record_policy(env, samples=3, seconds=0.2).trajectory.q
+    assert len(np.unique(np.asarray(q[:, -1]), axis=0)) == 3
+
+
+def test_a_page_in_one_call(env, tmp_path: Path) -> None:
+    file = animate_policy(env, None, tmp_path / "a.html", seconds=0.2, samples=60, fps=10)
+    text = file.read_text()
+    assert "cart pole balance" in text and '"samples": 60' in text
+
+
+def test_errors(env, tmp_path: Path) -> None:
+    with pytest.raises(rb.InputError, match=r"expected one that ends in \.gif"):
+        animate_policy(env, None, tmp_path / "a.txt")
+    with pytest.raises(
+        rb.InputError, match="env is 'cart_pole_balance', expected rb.envs.Environment"
+    ):
+        record_policy("cart_pole_balance")
+    with pytest.raises(rb.InputError, match="policy is int, expected a function"):
+        record_policy(env, 3)
+    with pytest.raises(rb.InputError, match="samples"):
+        record_policy(env, samples=0)
+
+
+@pytest.mark.slow
+def test_contact_forces_of_the_first_robot() -> None:
+    """A hopper that falls on the ground: once it lies, forces carry its weight on average."""
+    env = rb.envs.make("hopper_stand")
+    found = record_policy(env, lambda obs, key: jnp.zeros(env.action_size, env.dtype), seconds=3.0)
+    assert found.contacts is not None
+    up = np.asarray(found.contacts.world_force)[..., 2]
+    weight = 9.81 * float(env.task.model.bodies.mass.sum())
+    total = np.abs(up.sum(-1))[-50:].mean()
+    assert total == pytest.approx(weight, rel=0.1)
