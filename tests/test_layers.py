@@ -60,7 +60,8 @@ STOREYS = {
         }.items()
     },
 }
-TOP = {"", "validation", "demo", "cli", "plotting", "viewer"}  # may import anything; "" is __init__.py
+# may import anything; "" is __init__.py
+TOP = {"", "validation", "demo", "cli", "plotting", "viewer"}
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "envs", "demo"),

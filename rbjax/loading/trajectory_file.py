@@ -93,7 +93,9 @@ def save_trajectory(
                 "source does not load it either; draw the motion in the program that made it: "
                 "rb.viewer.view(model, trajectory) or rb.plotting.animate(model, trajectory, path)"
             )
-    arrays = {name: np.asarray(getattr(trajectory, name)) for name in ("ts", "q", "v", "ok")}
+    arrays: dict[str, Any] = {
+        name: np.asarray(getattr(trajectory, name)) for name in ("ts", "q", "v", "ok")
+    }
     if trajectory.x is not None:
         arrays["x"] = np.asarray(trajectory.x)
     np.savez_compressed(path, **arrays, mjcf=np.array(text), source=np.array(given))

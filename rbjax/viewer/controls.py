@@ -40,7 +40,8 @@ class MotionControls:
         label = f"{len(scene.p) - 1:,} ghosts"
         self.ghosts = gui.add_checkbox(label, True, visible=has_ghosts)
         self.spread = gui.add_slider("spread", 0.0, 1.0, 0.01, 0.0, visible=has_ghosts)
-        self.written, self.drawn = 0.0, None
+        self.written = 0.0
+        self.drawn: tuple[float, ...] | None = None
         self.last_middle, self.slow = scene.middle(0.0), 0
 
     def _press(self, event: Any) -> None:

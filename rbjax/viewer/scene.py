@@ -104,10 +104,10 @@ class Scene:
     def _between(self, k: int, after: int, share: float, samples: slice) -> tuple[Array, Array]:
         p0, p1, q0, q1 = (x[samples, f] for x in (self.p, self.q) for f in (k, after))
         far = np.linalg.norm(p1 - p0, axis=-1, keepdims=True) > _JUMP * self.size
-        share = np.where(far, 0.0, share).astype(np.float32)
+        part = np.where(far, 0.0, share).astype(np.float32)
         q1 = np.where((q0 * q1).sum(-1, keepdims=True) < 0, -q1, q1)
-        q = q0 + share * (q1 - q0)
-        return p0 + share * (p1 - p0), q / np.linalg.norm(q, axis=-1, keepdims=True)
+        q = q0 + part * (q1 - q0)
+        return p0 + part * (p1 - p0), q / np.linalg.norm(q, axis=-1, keepdims=True)
 
     def _offsets(self, samples: int) -> Array:
         """Return places (S, 2) on a grid, about that of the first sample."""

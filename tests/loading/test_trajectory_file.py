@@ -62,7 +62,7 @@ def test_errors(tmp_path: Path) -> None:
     with pytest.raises(rb.InputError, match="no such file"):
         load_trajectory(tmp_path / "b.npz")
     (tmp_path / "c.npz").write_text("no arrays")
-    with pytest.raises(rb.InputError, match="is not an .npz file"):
+    with pytest.raises(rb.InputError, match=r"is not an \.npz file"):
         load_trajectory(tmp_path / "c.npz")
     np.savez(tmp_path / "d.npz", ts=np.zeros(2), q=np.zeros((2, 1)))
     with pytest.raises(rb.InputError, match="has no mjcf, source, v"):

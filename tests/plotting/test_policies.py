@@ -31,7 +31,7 @@ def test_a_recording_is_the_motion_of_the_environment(env) -> None:
     for i, step in enumerate(jax.random.split(key, 4)):
         _, stepped = (jax.random.split(k, 2) for k in jax.random.split(step))
         action = 0.3 * jnp.tanh(obs[:, :1])
-        obs, state, reward, done, _ = jax.vmap(env.step)(stepped, state, action)
+        obs, state, reward, _, _ = jax.vmap(env.step)(stepped, state, action)
         np.testing.assert_allclose(found.trajectory.q[:, i + 1], state.state.q, atol=1e-9)
         np.testing.assert_allclose(found.reward[:, i], reward, atol=1e-9)
     assert found.done.shape == (2, 4) and found.trajectory.ok.all()
@@ -52,9 +52,7 @@ def test_a_page_in_one_call(env, tmp_path: Path) -> None:
 def test_errors(env, tmp_path: Path) -> None:
     with pytest.raises(rb.InputError, match=r"expected one that ends in \.gif"):
         animate_policy(env, None, tmp_path / "a.txt")
-    with pytest.raises(
-        rb.InputError, match="env is 'cart_pole_balance', expected rb.envs.Environment"
-    ):
+    with pytest.raises(rb.InputError, match="env is 'cart_pole_balance'"):
         record_policy("cart_pole_balance")
     with pytest.raises(rb.InputError, match="policy is int, expected a function"):
         record_policy(env, 3)

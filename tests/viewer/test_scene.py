@@ -17,7 +17,8 @@ from rbjax.viewer.scene import Scene
 from tests.plotting.test_contact_arrows import BALL, forces
 from tests.viewer.false_server import FalseServer
 
-ARM = """<mujoco><compiler angle="radian"/><worldbody><geom type="box" size="0.1 0.1 0.1" pos="2 0 0"/>
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+  <geom type="box" size="0.1 0.1 0.1" pos="2 0 0"/>
   <body name="upper"><joint name="shoulder" axis="0 1 0" range="-1 2" limited="true"/>
   <geom type="capsule" fromto="0 0 0 1 0 0" size="0.05"/><geom size="0.08"/>
   <body name="lower" pos="1 0 0"><joint name="elbow" axis="0 1 0"/>
@@ -85,9 +86,8 @@ def test_ghosts_spread_on_a_grid_about_the_robot(arms) -> None:
     assert len(scene._offsets(1)) == 1 and len(scene._offsets(1000)) == 1000
 
 
-def test_a_reset_is_not_a_motion(arms) -> None:
+def test_a_reset_is_not_a_motion() -> None:
     """A jump farther than half of the picture shows the earlier frame until the next."""
-    model, run = arms
     ball = rb.load(BALL)
     q = jnp.tile(ball.default_state().q, (3, 1)).at[:, 0].set(jnp.array([0.0, 0.01, 9.0]))
     server = FalseServer()
