@@ -222,25 +222,24 @@ def _classes() -> tuple[type, type, type]:
             one = jax.vmap(self.environment.reset, (0, None))
             return one(jax.random.split(key, self.num_envs), params)
 
-        def _advance(self, key: jax.Array, state: EnvState, action: Any, done: Any, params: Any):
-            begin, advance = jax.random.split(key)
+        def _advance(
+            self, key: jax.Array, state: EnvState, action: Any, done: Any, params: Any
+        ) -> tuple:
+            key, begin, advance = jax.random.split(key, 3)
             one = jax.vmap(self.environment.step_once, (0, 0, 0, None))
             obs, now, reward, _, info = one(
                 jax.random.split(advance, self.num_envs), state, action, params
             )
             last = jax.vmap(finite)(obs, info["failed"])
-            terminated, truncated = info["terminated"], info["truncated"]
-            info = {"failed": info["failed"], "rewards": info["rewards"]}
-            if self._autoreset == "disabled":
-                return last, now, reward, terminated, truncated, info, last
-            pick = done if self._autoreset == "next_step" else terminated | truncated
-            obs, now = _select(pick, self._begin(begin, params), (last, now))
-            if self._autoreset == "next_step":
-                none = jax.tree.map(jnp.zeros_like, (reward, terminated, truncated, info))
-                reward, terminated, truncated, info = _select(
-                    pick, none, (reward, terminated, truncated, info)
-                )
-            return obs, now, reward, terminated, truncated, info, last
+            kept = {"failed": info["failed"], "rewards": info["rewards"]}
+            result = reward, info["terminated"], info["truncated"], kept
+            pick = done if self._autoreset == "next_step" else result[1] | result[2]
+            obs = last
+            if self._autoreset != "disabled":
+                obs, now = _select(pick, self._begin(begin, params), (last, now))
+            if self._autoreset == "next_step":  # a call that resets has no result
+                result = _select(pick, jax.tree.map(jnp.zeros_like, result), result)
+            return key, now, result[1] | result[2], last, (obs, *result)
 
         def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
             super().reset(seed=seed)
@@ -257,17 +256,17 @@ def _classes() -> tuple[type, type, type]:
         def step(self, actions: Any) -> tuple:
             if self.state is None:
                 raise InputError("step: no episodes, expected a call of reset before")
-            self._key, key = jax.random.split(self._key)
-            obs, self.state, reward, terminated, truncated, info, last = self._step(
-                key, self.state, jnp.asarray(actions), self._done, self.params
+            self._key, self.state, self._done, last, result = self._step(
+                self._key, self.state, np.asarray(actions), self._done, self.params
             )
-            self._obs, self._done = obs, terminated | truncated
-            info = _with_masks(_numpy(info), self.num_envs)
-            done = np.array(self._done)
+            self._obs = result[0]
+            obs, reward, terminated, truncated, info = _numpy(result)
+            info = _with_masks(info, self.num_envs)
+            done = terminated | truncated
             if self._autoreset == "same_step" and done.any():
                 info["final_info"], info["_final_info"] = dict(info), done
                 info["final_obs"], info["_final_obs"] = _final(_numpy(last), done), done.copy()
-            return _numpy(obs), *map(np.array, (reward, terminated, truncated)), info
+            return obs, reward, terminated, truncated, info
 
         def _checked(self, mask: Any) -> np.ndarray:
             mask, due = np.asarray(mask), (self.num_envs,)
@@ -338,7 +337,7 @@ def _key_of(generator: np.random.Generator) -> jax.Array:
 
 def _numpy(tree: Any) -> Any:
     """Return a copy as numpy arrays, which the caller may change."""
-    return jax.tree.map(np.array, tree)
+    return jax.tree.map(np.array, jax.device_get(tree))
 
 
 def _select(pick: jax.Array, new: Any, old: Any) -> Any:
