@@ -14,14 +14,13 @@
 # # A policy, by gradients and by sampling
 #
 # A small network shall swing a cart-pole up from anywhere and keep it there. It is trained twice,
-# from the same first weights: through the dynamics, by gradients of short motions with a value
-# function for the rest (`rb.control.actor_critic`), and by an evolution strategy, which only sees
-# what whole episodes cost. Which one needs fewer steps of the robot, and which one less time?
+# from the same first weights: by SHAC, with gradients through short motions and a value function
+# for the rest (`rb.envs.learning.shac`), and by an evolution strategy, which only uses the rewards
+# of whole episodes. Which one needs fewer steps of the robot, and which one less time?
 
 # %%
 import time
 
-import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
@@ -37,57 +36,72 @@ DT, EPISODE = 0.02, 250
 
 # %% [markdown]
 # ## The task
-# The force is at most 10 N. A state costs by the angle, the place of the cart, the velocities and
-# the force. Motions begin at any angle; one that leaves the track is lost and starts again.
+# The force is at most 10 N. The reward of a step depends on the angle, the position of the cart,
+# the velocities and the force. Episodes begin at any angle; one that leaves the track ends.
 
 # %%
 model = rb.load("cart_pole")
 model = model.replace(actuators=model.actuators.replace(ctrlrange=jnp.asarray([[-10.0, 10.0]])))
 
 
-def cost(state, ctrl):
-    x, angle = state.q
-    return 1 - jnp.cos(angle) + 0.1 * x**2 + 0.01 * (state.v**2).sum() + 0.001 * (ctrl**2).sum()
+def swing_up(to):
+    x, angle = to.before.q
+    still = (to.before.v**2).sum()
+    return 2 + jnp.cos(angle) - 0.1 * x**2 - 0.01 * still - 0.001 * (to.ctrl**2).sum()
 
 
-def observe(state):
-    x, angle = state.q
-    return jnp.stack([x, jnp.sin(angle), jnp.cos(angle), 0.5 * state.v[0], 0.3 * state.v[1]])
+def observe(to):
+    (x, angle), v = to.after.q, to.after.v
+    return jnp.stack([x, jnp.sin(angle), jnp.cos(angle), 0.5 * v[0], 0.3 * v[1]])
 
 
-def start(key):
+def anywhere(key, params):
+    return start(key, [0.0, 0.0], [0.5, np.pi], 1.0)
+
+
+def hanging(key, params):
+    return start(key, [0.0, np.pi], [0.3, 0.5], 0.5)
+
+
+def start(key, middle, width, fast):
     one, two = jax.random.split(key)
-    wide = jnp.asarray([0.5, jnp.pi])
-    q = jax.random.uniform(one, (2,), minval=-wide, maxval=wide)
-    return rb.State(q, jax.random.uniform(two, (2,), minval=-1.0, maxval=1.0))
+    q = jnp.asarray(middle) + jnp.asarray(width) * jax.random.uniform(one, (2,), minval=-1.0)
+    return rb.State(q, fast * jax.random.uniform(two, (2,), minval=-1.0))
 
 
-env = rb.control.Environment(
-    model, cost, start, dt=DT, observe=observe, episode=EPISODE,
-    lost=lambda state: jnp.abs(state.q[0]) > 3.0,
-)  # fmt: skip
-untrained = rb.control.network(jax.random.key(0), (5, 32, 16, 1))
+def environment(start, **more):
+    task = rb.envs.Task(
+        "swing_up", model, start, {"policy": (rb.envs.Observation("state", observe),)},
+        (rb.envs.Reward("swing_up", swing_up),), dt=DT, episode=EPISODE,
+        total=lambda terms, dt: sum(terms.values()), **more,
+    )  # fmt: skip
+    return rb.envs.Environment(task)
+
+
+env = environment(anywhere, terminations={"off": lambda to: jnp.abs(to.after.q[0]) > 3.0})
+untrained = rb.envs.learning.new_policy(env, jax.random.key(0), (32, 16), std=None)
 
 # %% [markdown]
 # A policy is judged from 1,000 starts that it has not seen, all hanging within half a radian. One
-# is solved where the pole is within 0.1 rad of upright during the whole of the last of six seconds,
+# is solved if the pole is within 0.1 rad of upright during the whole of the last of five seconds,
 # and the cart within half a metre of the middle.
 
 # %%
-rng = np.random.default_rng(1)
-hanging = rb.State(
-    jnp.asarray(np.stack([rng.uniform(-0.3, 0.3, 1000), np.pi + rng.uniform(-0.5, 0.5, 1000)], 1)),
-    jnp.asarray(rng.uniform(-0.5, 0.5, (1000, 2))),
-)
+judge = environment(hanging)
 
 
-def motions(policy):
-    return rb.rollout(model, hanging, env.controller(policy), DT, steps=300).q
+@jax.jit
+def observations(policy):
+    def one(key):
+        obs, state = judge.reset(key)
+        return judge.unroll(key, obs, state, policy, EPISODE)[2]["obs"]
+
+    return jax.vmap(one)(jax.random.split(jax.random.key(1), 1000))
 
 
 def solved(policy):
-    last = motions(policy)[:, -50:]
-    held = (jnp.cos(last[..., 1]) > np.cos(0.1)) & (jnp.abs(last[..., 0]) < 0.5)
+    last = observations(policy)[:, -50:]
+    held = (last[..., 2] > np.cos(0.1)) & (jnp.abs(last[..., 0]) < 0.5)
     return np.asarray(held.all(1))
 
 
@@ -95,17 +109,16 @@ print(f"before training: {solved(untrained).mean():.1%} of the starts are solved
 
 # %% [markdown]
 # ## Through the dynamics
-# 64 robots side by side, 32 steps an iteration: the gradient of what these steps cost, with the
-# value of where they end. 300 iterations are 0.6 million steps.
+# 128 robots in parallel, 32 steps an iteration: the gradient of the rewards of these steps, with
+# the value of the last state. 300 iterations are 1.2 million steps.
 
 # %%
-BATCH, HORIZON, ITERATIONS = 64, 32, 300
+BATCH, HORIZON, ITERATIONS = 128, 32, 300
 begin = time.perf_counter()
-trained = rb.control.actor_critic(
-    env, untrained, jax.random.key(0), iterations=ITERATIONS, batch=BATCH, horizon=HORIZON,
-    rate=1.5e-2, value_rate=2e-3, value_steps=16,
+trained = rb.envs.learning.shac(
+    env, jax.random.key(0), untrained, iterations=ITERATIONS, batch=BATCH, horizon=HORIZON,
+    rate=1.5e-2, critic_rate=2e-3, critic_steps=16,
 )  # fmt: skip
-jax.block_until_ready(trained.costs)
 seconds = time.perf_counter() - begin
 steps = BATCH * HORIZON * np.arange(1, ITERATIONS + 1) / 1e6
 by_gradients = solved(trained.policy).mean()
@@ -114,23 +127,26 @@ print(f"{steps[-1]:.2f} M steps, {seconds:.0f} s with compiling: {by_gradients:.
 # %% [markdown]
 # ## By an evolution strategy
 # All weights are disturbed at random, up and down (Salimans et al. 2017). The mean of the
-# disturbances, each weighed by the rank of what its episodes cost, is the direction of the step.
-# It needs no derivative, and it sees whole episodes of five seconds. It may run as long.
+# disturbances, each weighted by the rank of its reward, is the direction of the step. It needs no
+# derivative, and it uses whole episodes of five seconds. It may run as long.
 
 # %%
 PAIRS, EPISODES, SIGMA = 32, 4, 0.1
-numbers, rest = eqx.partition(untrained, eqx.is_inexact_array)
-weights, shaped = jax.flatten_util.ravel_pytree(numbers)
+plain = untrained.replace(normaliser=None)
+weights, shaped = jax.flatten_util.ravel_pytree(plain.network)
 optimiser = optax.adam(0.03)
 
 
 def of_weights(weights):
-    return eqx.combine(shaped(weights), rest)
+    return plain.replace(network=shaped(weights))
 
 
-def episode_cost(weights, states):
-    costs = env.unroll(of_weights(weights), None, states, EPISODE).costs
-    return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, 100.0), 100.0).mean()
+def episode_reward(weights, keys):
+    def one(key):
+        obs, state = env.reset(key)
+        return env.unroll(key, obs, state, of_weights(weights), EPISODE)[2]["reward"].mean()
+
+    return jax.vmap(one)(keys).mean()
 
 
 @jax.jit
@@ -138,11 +154,12 @@ def turn(weights, memory, key):
     key, one, two = jax.random.split(key, 3)
     e = jax.random.normal(one, (PAIRS, weights.size))
     e = jnp.concatenate([e, -e])
-    _, states = jax.vmap(env.reset)(jax.random.split(two, EPISODES))
-    costs = jax.vmap(episode_cost, (0, None))(weights + SIGMA * e, states)
-    ranks = jnp.argsort(jnp.argsort(costs)) / (2 * PAIRS - 1) - 0.5
-    update, memory = optimiser.update((ranks[:, None] * e).mean(0) / SIGMA, memory)
-    return optax.apply_updates(weights, update), memory, key, costs.mean()
+    rewards = jax.vmap(episode_reward, (0, None))(
+        weights + SIGMA * e, jax.random.split(two, EPISODES)
+    )
+    ranks = jnp.argsort(jnp.argsort(rewards)) / (2 * PAIRS - 1) - 0.5
+    update, memory = optimiser.update(-(ranks[:, None] * e).mean(0) / SIGMA, memory)
+    return optax.apply_updates(weights, update), memory, key, rewards.mean()
 
 
 begin, carry, seen = time.perf_counter(), (weights, optimiser.init(weights), jax.random.key(0)), []
@@ -150,29 +167,29 @@ while time.perf_counter() - begin < seconds:
     *carry, mean = turn(*carry)
     seen.append((time.perf_counter() - begin, float(mean)))
 sampled = of_weights(carry[0])
-times, costs = np.transpose(seen)
+times, rewards = np.transpose(seen)
 per_turn = 2 * PAIRS * EPISODES * EPISODE / 1e6
 by_sampling = solved(sampled).mean()
 print(f"{len(seen) * per_turn:.0f} M steps, {times[-1]:.0f} s: {by_sampling:.1%} solved")
 
 # %% [markdown]
-# ## Side by side
-# The curves are what a step costs in the mean of the batch in training. Gradients tell a small
-# network more in a step than samples do: they need a hundredth of the steps. A step of a cart-pole
-# costs so little that the samples catch up in time. The larger the robot and the network, the
-# dearer this becomes: noise grows with the number of weights, gradients do not. (On the right the
-# time of the gradients, compiling included, is spread evenly over the iterations.)
+# ## Comparison
+# The curves are the mean reward of a step in training. A gradient has more information on a small
+# network than a sample: it needs a small share of the steps. A step of a cart-pole is so cheap that
+# the samples catch up in time. The larger the robot and the network, the more this costs: noise
+# grows with the number of weights, gradients do not. (On the right the time of the gradients,
+# compiling included, is spread evenly over the iterations.)
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), sharey=True)
 taken = seconds * np.arange(1, ITERATIONS + 1) / ITERATIONS
-axes[0].semilogx(steps, trained.costs, label="gradients")
-axes[0].semilogx(per_turn * np.arange(1, len(seen) + 1), costs, label="evolution strategy")
-axes[0].set(xlabel="steps of a robot, million", ylabel="cost of a step")
-axes[1].plot(taken, trained.costs, label="gradients")
-axes[1].plot(times, costs, label="evolution strategy")
-axes[1].set(xlabel="seconds, with compiling", ylim=(0, 3))
-axes[1].legend(loc="center right")
+axes[0].semilogx(steps, trained.rewards, label="SHAC")
+axes[0].semilogx(per_turn * np.arange(1, len(seen) + 1), rewards, label="evolution strategy")
+axes[0].set(xlabel="steps of a robot, million", ylabel="reward of a step")
+axes[1].plot(taken, trained.rewards, label="SHAC")
+axes[1].plot(times, rewards, label="evolution strategy")
+axes[1].set(xlabel="seconds, with compiling")
+axes[1].legend(loc="lower right")
 figure.tight_layout()
 plt.show()
 
@@ -181,10 +198,11 @@ plt.show()
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), sharey=True)
-named = {"gradients": trained.policy, "evolution strategy": sampled}
+named = {"SHAC": trained.policy, "evolution strategy": sampled}
+first = observations(untrained)[:, 0]
+angle, rate = np.arctan2(first[:, 1], first[:, 2]) % (2 * np.pi), first[:, 4] / 0.3
 for axis, (name, policy) in zip(axes, named.items(), strict=True):
     good = solved(policy)
-    angle, rate = np.asarray(hanging.q[:, 1]), np.asarray(hanging.v[:, 1])
     axis.plot(angle[good], rate[good], ".", color="tab:green", ms=3, label="solved")
     axis.plot(angle[~good], rate[~good], "x", color="tab:red", label="not")
     axis.set(title=f"{name}: {good.mean():.1%}", xlabel="first angle, rad")
@@ -194,7 +212,8 @@ figure.tight_layout()
 plt.show()
 
 # %%
-q = motions(trained.policy)[0]
+path = np.asarray(observations(trained.policy)[0])
+q = np.stack([path[:, 0], np.unwrap(np.arctan2(path[:, 1], path[:, 2]))], 1)
 figure, axes = plt.subplots(2, 1, figsize=(8, 5.2), height_ratios=[2, 1])
 strobe(axes[0], "cart_pole", model, q[:61:4], camera=Camera(-90, 5), shadow=False)
 axes[0].set(title="the first 1.2 s of one swing")

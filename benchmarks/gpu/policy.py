@@ -1,4 +1,4 @@
-"""A swing-up policy by gradients through the dynamics, beside an evolution strategy.
+"""A swing-up policy by SHAC and by an evolution strategy.
 
 `python -m benchmarks.gpu.policy [--iterations N] [--batch B] [--seeds K]` writes
 results/gpu-policy-<device>.json. f32. Seconds are the wall time of training with tracing and
@@ -15,7 +15,7 @@ import jax
 from benchmarks.shared import policy_training as training
 from benchmarks.shared.timing import markdown_table, save
 
-COLUMNS = ("method", "seed", "iterations", "batch", "seconds", "M steps", "success", "last cost")
+COLUMNS = ("method", "seed", "iterations", "batch", "seconds", "M steps", "success", "last reward")
 
 
 def main() -> None:

@@ -1,89 +1,102 @@
-"""A policy for the cart-pole's swing-up, trained through the dynamics and by an evolution strategy.
+"""A policy for the cart-pole's swing-up, by SHAC and by an evolution strategy.
 
-Both begin with the same network and see the same starts: any angle, the cart within 0.5 m,
-velocities within 1. They are judged on 1,000 starts near hanging (`shared.swing_up`): a start is
-solved where, for the whole of the last second of six, the pole is within 0.1 rad of upright and the
+Both begin with the same network and have the same initial states: any angle, the cart within
+0.5 m, velocities within 1. They are judged on 1,000 starts within 0.5 rad of hanging: a start is
+solved if, for the whole of the last second of six, the pole is within 0.1 rad of upright and the
 cart within 0.5 m of the middle.
 
-The evolution strategy (Salimans et al. 2017): theta <- theta - a / (n s) sum F_i e_i, mirrored
-perturbations e_i, F_i the centred ranks of the mean costs of whole episodes, by Adam.
+The evolution strategy (Salimans et al. 2017): theta <- theta + a / (n s) sum F_i e_i, mirrored
+perturbations e_i, F_i the centred ranks of the mean rewards of whole episodes, by Adam.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import optax
 
 import rbjax as rb
-from benchmarks.shared.swing_up import starts, tasks
 
 DT, EPISODE, FORCE = 0.02, 250, 10.0
 SECONDS = 6.0
-SIZES = (5, 32, 16, 1)
+HIDDEN = (32, 16)
 SIGMA, RATE = 0.1, 0.03  # of the evolution strategy
 
 
-def environment() -> Any:
-    """The swing-up as an `Environment`."""
+def environment(hanging: bool = False) -> Any:
+    """The swing-up as an `Environment`. hanging: starts near hanging, and no end of an episode."""
     model = rb.load("cart_pole")
     ranges = jnp.asarray([[-FORCE, FORCE]])
     model = model.replace(actuators=model.actuators.replace(ctrlrange=ranges))
 
-    def cost(state: Any, ctrl: Any) -> Any:
-        x, angle = state.q
-        still = (state.v**2).sum()
-        return 1 - jnp.cos(angle) + 0.1 * x * x + 0.01 * still + 0.001 * (ctrl**2).sum()
+    def reward(to: Any) -> Any:
+        x, angle = to.before.q
+        still = (to.before.v**2).sum()
+        cost = 1 - jnp.cos(angle) + 0.1 * x * x + 0.01 * still + 0.001 * (to.ctrl**2).sum()
+        return 3 - cost  # positive, so that the end of an episode is no gain
 
-    def observe(state: Any) -> Any:
-        x, angle = state.q
-        return jnp.stack([x, jnp.sin(angle), jnp.cos(angle), 0.5 * state.v[0], 0.3 * state.v[1]])
+    def observe(to: Any) -> Any:
+        (x, angle), v = to.after.q, to.after.v
+        return jnp.stack([x, jnp.sin(angle), jnp.cos(angle), 0.5 * v[0], 0.3 * v[1]])
 
-    def start(key: Any) -> Any:
+    middle = jnp.asarray([0.0, math.pi if hanging else 0.0])
+    wide = jnp.asarray([0.3, 0.5] if hanging else [0.5, math.pi])
+    fast = 0.5 if hanging else 1.0
+
+    def start(key: Any, params: Any) -> Any:
         one, two = jax.random.split(key)
-        wide = jnp.asarray([0.5, jnp.pi])
-        q = jax.random.uniform(one, (2,), minval=-wide, maxval=wide)
-        return rb.State(q, jax.random.uniform(two, (2,), minval=-1.0, maxval=1.0))
+        q = middle + jax.random.uniform(one, (2,), minval=-wide, maxval=wide)
+        return rb.State(q, jax.random.uniform(two, (2,), minval=-fast, maxval=fast))
 
-    return rb.control.Environment(
-        model, cost, start, dt=DT, observe=observe, episode=EPISODE,
-        lost=lambda state: jnp.abs(state.q[0]) > 3.0,
+    return rb.envs.Environment(
+        rb.envs.Task(
+            "swing_up", model, start, {"policy": (rb.envs.Observation("state", observe),)},
+            (rb.envs.Reward("swing_up", reward),), dt=DT, episode=EPISODE,
+            terminations={} if hanging else {"off": lambda to: jnp.abs(to.after.q[0]) > 3.0},
+            total=lambda terms, dt: sum(terms.values()),
+        )
     )  # fmt: skip
 
 
-def untrained(seed: int) -> Any:
-    """The network that both begin with."""
-    return rb.control.network(jax.random.key(seed), SIZES)
+def untrained(env: Any, seed: int) -> Any:
+    """The policy that both begin with, without noise."""
+    return rb.envs.learning.new_policy(env, jax.random.key(seed), HIDDEN, std=None)
 
 
-def success(env: Any, policy: Any, count: int = 1000) -> float:
+def success(policy: Any, count: int = 1000) -> float:
     """The share of the starts that are solved."""
-    states = starts(tasks()["cart_pole"], count, seed=1)
-    run = rb.rollout(env.model, states, env.controller(policy), DT, steps=int(SECONDS / DT))
-    q = run.q[:, -int(1 / DT) :]
-    held = (jnp.cos(q[..., 1]) > jnp.cos(0.1)) & (jnp.abs(q[..., 0]) < 0.5)
-    return float(held.all(1).mean())
+    env = environment(hanging=True)
+    last = round(1 / DT)
+
+    def one(key: Any) -> Any:
+        obs, state = env.reset(key)
+        steps = round(SECONDS / DT) - last
+        obs, state, _ = env.unroll(key, obs, state.replace(step=-steps), policy, steps)
+        *_, path = env.unroll(key, obs, state, policy, last)
+        x, up = path["obs"][:, 0], path["obs"][:, 2]
+        return ((up > math.cos(0.1)) & (jnp.abs(x) < 0.5)).all()
+
+    return float(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(1), count)).mean())
 
 
 def by_gradients(env: Any, seed: int, iterations: int, batch: int, horizon: int = 32) -> dict:
-    """Trained by `actor_critic`: seconds with compiling, steps, success."""
+    """Trained by `shac`: seconds with compiling, steps, success."""
     begin = time.perf_counter()
-    found = rb.control.actor_critic(
-        env, untrained(seed), jax.random.key(seed), iterations=iterations, batch=batch,
-        horizon=horizon, rate=1.5e-2, value_rate=2e-3, value_steps=16,
+    found = rb.envs.learning.shac(
+        env, jax.random.key(seed), untrained(env, seed), iterations=iterations, batch=batch,
+        horizon=horizon, rate=1.5e-2, critic_rate=2e-3, critic_steps=16,
     )  # fmt: skip
-    jax.block_until_ready(found.costs)
     seconds = time.perf_counter() - begin
     return {
-        "method": "actor_critic", "seed": seed, "iterations": iterations, "batch": batch,
+        "method": "SHAC", "seed": seed, "iterations": iterations, "batch": batch,
         "seconds": seconds, "M steps": iterations * batch * horizon / 1e6,
-        "success": success(env, found.policy), "skipped": int(found.skipped),
-        "last cost": float(found.costs[-1]),
+        "success": success(found.policy), "skipped": int(found.skipped),
+        "last reward": float(found.rewards[-1]),
     }  # fmt: skip
 
 
@@ -93,14 +106,18 @@ def by_evolution(
     """Trained by the evolution strategy until `seconds`, compiling included, or `most` steps of the
     robot are over."""
     begin = time.perf_counter()
-    numbers, rest = eqx.partition(untrained(seed), eqx.is_inexact_array)
-    flat, shaped = jax.flatten_util.ravel_pytree(numbers)
+    policy = untrained(env, seed).replace(normaliser=None)
+    flat, shaped = jax.flatten_util.ravel_pytree(policy.network)
     optimiser = optax.adam(RATE)
 
-    def value(theta: Any, states: Any) -> Any:
-        policy = eqx.combine(shaped(theta), rest)
-        costs = env.unroll(policy, None, states, EPISODE).costs
-        return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, 100.0), 100.0).mean()
+    def value(theta: Any, keys: Any) -> Any:
+        acting = policy.replace(network=shaped(theta))
+
+        def episode(key: Any) -> Any:
+            obs, state = env.reset(key)
+            return env.unroll(key, obs, state, acting, EPISODE)[2]["reward"].mean()
+
+        return jax.vmap(episode)(keys).mean()
 
     @jax.jit
     def turn(carry: tuple) -> tuple:
@@ -108,10 +125,9 @@ def by_evolution(
         key, one, two = jax.random.split(key, 3)
         e = jax.random.normal(one, (pairs, theta.size), theta.dtype)
         e = jnp.concatenate([e, -e])
-        _, states = jax.vmap(env.reset)(jax.random.split(two, episodes))
-        F = jax.vmap(value, (0, None))(theta + SIGMA * e, states)
+        F = jax.vmap(value, (0, None))(theta + SIGMA * e, jax.random.split(two, episodes))
         ranks = jnp.argsort(jnp.argsort(F)) / (2 * pairs - 1) - 0.5
-        slope = (ranks[:, None] * e).mean(0) / SIGMA
+        slope = -(ranks[:, None] * e).mean(0) / SIGMA
         update, memory = optimiser.update(slope, memory)
         return (optax.apply_updates(theta, update), memory, key), F.mean()
 
@@ -123,9 +139,8 @@ def by_evolution(
         F.block_until_ready()
         turns += 1
     spent = time.perf_counter() - begin
-    policy = eqx.combine(shaped(carry[0]), rest)
     return {
         "method": "evolution strategy", "seed": seed, "iterations": turns, "batch": 2 * pairs,
-        "seconds": spent, "M steps": turns * steps / 1e6, "success": success(env, policy),
-        "last cost": float(F),
+        "seconds": spent, "M steps": turns * steps / 1e6,
+        "success": success(policy.replace(network=shaped(carry[0]))), "last reward": float(F),
     }  # fmt: skip

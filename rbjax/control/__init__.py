@@ -1,16 +1,16 @@
-"""Optimal control, feedback laws, linear regulators and trained policies.
+"""Optimal control, feedback laws and linear regulators.
 
 Subpackages:
     optimal: `Problem`, `solve` and its methods, derivatives of solutions, `mpc`.
     laws: controllers of robots, allocation of forces to actuators, regions of attraction.
     linear: regulators, Riccati and Lyapunov equations, controllability, margins, Kalman gains.
-    learning: environments, and policies trained through their dynamics.
 
+Policies are trained in `rbjax.envs.learning`.
 Inverse kinematics is in `rbjax.kinematics`; its functions are also exported from this package.
 `rbjax.recommend.control_method` compares the methods of `solve` on a problem.
 """
 
-from rbjax.control import laws, learning, linear, optimal
+from rbjax.control import laws, linear, optimal
 from rbjax.control.laws import (
     Controller,
     allocate,
@@ -21,7 +21,6 @@ from rbjax.control.laws import (
     operational_space,
     region_of_attraction,
 )
-from rbjax.control.learning import Environment, actor_critic, network, through_time
 from rbjax.control.linear import LinearStatus, feedback, lqr, lqr_at, time_varying_lqr
 from rbjax.control.optimal import (
     Acceleration,
@@ -77,8 +76,6 @@ __all__ = [
     "gravity_compensation", "allocate", "region_of_attraction",
     # regulators
     "lqr", "lqr_at", "time_varying_lqr", "feedback", "LinearStatus",
-    # policies
-    "Environment", "network", "actor_critic", "through_time",
     # subpackages
-    "laws", "learning", "linear", "optimal",
+    "laws", "linear", "optimal",
 ]  # fmt: skip

@@ -13,12 +13,13 @@ Files:
 
 Subpackages:
     adapters: the environments in the interfaces of learning libraries.
+    learning: learners of policies: PPO, SHAC, checkpoints.
     tasks: the tasks, one a file.
     terms: observation and reward terms that tasks share.
     robots: MJCF files of robots.
 """
 
-from rbjax.envs import adapters, terms
+from rbjax.envs import adapters, learning, terms
 from rbjax.envs.actions import Direct, Increment, Offset, Scaled
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
@@ -53,6 +54,7 @@ __all__ = [
     "Transition",
     "Variable",
     "adapters",
+    "learning",
     "make",
     "offset",
     "register",

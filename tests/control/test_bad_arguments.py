@@ -30,16 +30,7 @@ BAND = C.linear.LinearQuadratic(*map(jnp.asarray, (
 STATES = rb.State(jnp.zeros((4, 2)), jnp.zeros((4, 2)))
 
 
-def cost(state, ctrl):
-    return (state.q**2).sum()
 
-
-def start(key):
-    return rb.State(0.1 * jax.random.normal(key, (2,)), jnp.zeros(2))
-
-
-ENV = C.Environment(CART, cost, start, dt=0.05, episode=5)
-POLICY = C.network(KEY, (4, 3, 1))
 PROBLEM = C.Problem(LINE, 3, 1.0, running=[C.Control()], bounds=(-1.0, 1.0))
 
 
@@ -295,29 +286,6 @@ TABLE = {
         "speed": ["x", -1.0, np.nan, np.ones(3), 0.0], "dt": positive(), "rest": array(7),
         "damping": ["x", -1.0, np.nan],
     }),
-    "Environment": (C.Environment, {"model": CART, "cost": cost, "start": start}, {
-        "model": model(), "cost": [*function(), lambda s, u: s.q], "start": [3, lambda: 0.0],
-        "dt": positive(), "observe": function(), "randomise": function(), "lost": function(),
-        "episode": count(), "squash": flag(), "integrator": name(),
-    }),
-    "network": (C.network, {"key": KEY, "sizes": (2, 3, 1)}, {
-        "key": ["x", 3.5], "sizes": [(2,), (), 3, (2, 0, 1), (2.5, 1), "x"],
-        "activation": name(), "last": ["x", np.nan],
-    }),
-    "actor_critic": (C.actor_critic, {
-        "env": ENV, "policy": POLICY, "key": KEY, "iterations": 1, "batch": 2, "horizon": 2,
-    }, {
-        "env": [3, CART], "policy": [3, lambda o: o[:1], C.network(KEY, (2, 1))], "key": ["x", 3],
-        "iterations": count(), "batch": count(), "horizon": count(), "discount": share(),
-        "trace": share(), "rate": positive(), "value_rate": positive(), "value_steps": count(),
-        "slow": share(), "optimiser": [3, "adam"], "value": [3, "x"],
-    }),
-    "through_time": (C.through_time, {
-        "env": ENV, "policy": POLICY, "key": KEY, "iterations": 1, "batch": 2,
-    }, {
-        "env": [3, CART], "policy": [3, lambda o: o[:1], C.network(KEY, (2, 1))], "key": ["x", 3],
-        "iterations": count(), "batch": count(), "rate": positive(), "optimiser": [3, "adam"],
-    }),
     "region_of_attraction": (C.region_of_attraction, {
         "model": CART, "policy": lambda t, s: jnp.zeros(1), "equilibrium": UP,
         "axes": [("hinge", -1.0, 1.0), ("hinge'", -1.0, 1.0)], "points": 2, "duration": 0.1,
@@ -337,9 +305,9 @@ WITHOUT = {
     "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LinearStatus",
     "LinearQuadratic", "Lyapunov", "Margins", "Method", "OperationalSpace", "PredictiveController",
     "Reach", "RegionMap", "Regulator", "Solution", "Status", "SteadyFilter", "Steered", "System",
-    "Term", "TickStatus", "Tracking", "Trained", "Velocity", "methods",
+    "Term", "TickStatus", "Tracking", "Velocity", "methods",
 }  # fmt: skip
-ROOMS = (C, C.laws, C.learning, C.linear, C.optimal, rb.kinematics)
+ROOMS = (C, C.laws, C.linear, C.optimal, rb.kinematics)
 SUBROOMS = {"laws", "learning", "linear", "optimal"}
 NAMES = {name for room in ROOMS for name in room.__all__} - SUBROOMS
 

@@ -144,17 +144,6 @@ def test_equations_are_a_vector_space():
     np.testing.assert_array_equal(system.minus(system.plus(x, dx), x), dx)
 
 
-def test_a_network_is_linear_behind_its_last_layer():
-    """tanh of the hidden layer only; weights of variance 2 / in, the last ones a hundredth."""
-    net = control.network(jax.random.key(0), (200, 100, 20))
-    for W, due in zip(net.weights, [(2 / 200) ** 0.5, 0.01 * (2 / 100) ** 0.5], strict=True):
-        np.testing.assert_allclose(np.std(W), due, rtol=0.05)
-    assert all((np.asarray(b) == 0).all() for b in net.biases)
-    x = RNG.normal(size=200)
-    first, last = (np.asarray(W, float) for W in net.weights)
-    np.testing.assert_allclose(net(x), last @ np.tanh(first @ x), rtol=0, atol=1e-6)
-
-
 def test_functions_that_may_read_tracers():
     inner = 3.0
     assert _may_close_over_tracers(lambda x: inner * x)

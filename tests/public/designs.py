@@ -7,14 +7,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
 from rbjax import control, estimation, stability, sysid
 from rbjax.control import linear
-from tests.composing import cast
 from tests.public.grid import Case, same
 from tests.robots import robot
 
@@ -203,7 +201,6 @@ CONTROL |= {
         [STABLE, INPUT, FEEDBACK],
         derivatives=False,
     ),
-    "network": Case(lambda d: cast(control.network(jax.random.key(0), (3, 8, 2)), d), [START]),
     # in JAX's default dtype, whatever that of the model
     "solve, ddp": Case(planned("ddp"), CART_STATE, dtypes=F64),
     "solve, sqp": Case(planned("sqp"), CART_STATE, dtypes=F64),

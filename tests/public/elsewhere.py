@@ -26,10 +26,8 @@ ELSEWHERE: dict[str, set[str]] = {
                  "time_scaling"},
     # searches, training, sentences; `solve` has cases by its methods
     "kinematics": {"inverse_kinematics"},
-    "control": {"actor_critic", "inverse_kinematics", "methods", "mpc", "region_of_attraction",
-                "through_time"},
+    "control": {"inverse_kinematics", "methods", "mpc", "region_of_attraction"},
     "control.laws": {"region_of_attraction"},
-    "control.learning": {"actor_critic", "through_time"},
     "control.linear": {"unreachable_directions"},
     "control.optimal": {"methods", "mpc"},
     # recordings, fits and their statistics, which run in NumPy on the host

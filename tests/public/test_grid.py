@@ -37,7 +37,7 @@ ALL_TESTS = Path(__file__).parent.parent
 #: rooms whose functions are cases of a table of another name
 TABLE_OF = {"rb": "models", "dynamics": "models", "forces": "models", "spatial": "bodies",
             "sensors": "models", "body": "bodies", "kinematics": "control"}  # fmt: skip
-SUBROOMS = {f"control.{name}" for name in ("laws", "learning", "linear", "optimal")}
+SUBROOMS = {f"control.{name}" for name in ("laws", "linear", "optimal")}
 TABLE_OF |= dict.fromkeys(SUBROOMS, "control")
 
 

@@ -114,6 +114,17 @@ def test_a_gradient_that_is_not_finite_changes_nothing():
     assert np.abs(two - np.array([0.9, 0.8])).max() < 1e-15 and fine
 
 
+def test_a_network_is_linear_behind_its_last_layer():
+    """tanh of the hidden layer only; weights of variance 2 / in, the last ones a hundredth."""
+    net = network(jax.random.key(0), (200, 100, 20))
+    for W, due in zip(net.weights, [(2 / 200) ** 0.5, 0.01 * (2 / 100) ** 0.5], strict=True):
+        np.testing.assert_allclose(np.std(W), due, rtol=0.05)
+    assert all((np.asarray(b) == 0).all() for b in net.biases)
+    x = np.random.default_rng(0).normal(size=200)
+    first, last = (np.asarray(W, float) for W in net.weights)
+    np.testing.assert_allclose(net(x), last @ np.tanh(first @ x), rtol=0, atol=1e-6)
+
+
 def test_settings_fit_the_learners():
     """Every setting is an argument of its learner; Brax needs a multiple of the samples."""
     import inspect
