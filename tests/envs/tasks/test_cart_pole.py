@@ -4,8 +4,10 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
+import scipy.linalg
 
 import rbjax as rb
 from tests.envs.tasks.mujoco_states import (
@@ -167,3 +169,22 @@ def test_replaced_task_keeps_its_terms(env):
     """A user's variant: another episode length."""
     task = dataclasses.replace(env.task, episode=7)
     assert rb.envs.Environment(task).episode == 7
+
+
+def test_a_linear_regulator_balances():
+    """The policy inside the kernel: gains of the Riccati equation by SciPy, from MuJoCo's
+    derivatives. The reward is at most 1 a step."""
+    env = rb.envs.make("cart_pole_balance")
+    A, B, d = np.zeros((4, 4)), np.zeros((4, 1)), mujoco.MjData(M)
+    mujoco.mjd_transitionFD(M, d, 1e-6, True, A, B, None, None)
+    P = scipy.linalg.solve_discrete_are(A, B, np.eye(4), 10 * np.eye(1))
+    K = jnp.asarray(np.linalg.solve(10 * np.eye(1) + B.T @ P @ B, B.T @ P @ A))
+
+    def policy(obs, key):
+        return -K @ jnp.stack([obs[0], jnp.arctan2(obs[2], obs[1]), obs[3], obs[4]])
+
+    obs, state = resets(env, 8)
+    run = jax.vmap(lambda key, obs, state: env.unroll(key, obs, state, policy, 999))
+    _, state, path = run(jax.random.split(jax.random.key(2), 8), obs, state)
+    assert not path["done"].any() and (state.total > 990).all()
+    np.testing.assert_allclose(path["reward"].sum(1), state.total, rtol=1e-12)

@@ -191,3 +191,37 @@ def test_single_precision(env):
     keep = ~np.asarray(done)
     np.testing.assert_allclose(state.state.q[keep], double.state.q[keep], atol=1e-4)
     np.testing.assert_allclose(reward[keep], exact[keep], atol=1e-3)
+
+
+def test_a_hand_brings_the_cube_to_the_target(env):
+    """By differential inverse kinematics: above the cube, down, close, to the target. The grasp
+    holds by friction, and the reward of the target is 8 (1 - tanh(0.5 |E|)) at most."""
+    model, frame, facing = env.task.model, rb.Frame(site="gripper"), np.eye(3)[[1, 0, 2]]
+    facing[2, 2] = -1  # the hand points down, its fingers close along x
+    pose, jacobian = (
+        jax.jit(lambda q, f=f: f(model, q, frame)) for f in (rb.frame_pose, rb.jacobian)
+    )
+    step, target = jax.jit(env.step_once), np.array([0.5, -0.05, 0.25])
+    _, state = env.reset(jax.random.key(0))
+    q = state.state.q.at[9:12].set(jnp.array([0.55, 0.06, 0.03]))
+    state = state.replace(
+        state=state.state.replace(q=q), variables=state.variables | {"target": jnp.asarray(target)}
+    )
+    sag = np.zeros(3)  # of the servos under gravity
+    for k in range(150):
+        q, ctrl = np.array(state.state.q), np.asarray(state.ctrl)
+        (_, p), cube = pose(q), q[9:12]
+        above = np.array([0, 0, 0.1 * np.clip((48 - k) / 18, 0, 1) + 0.004])
+        goal = cube + above if k < 72 else p + np.clip(target - cube, -0.05, 0.05)
+        sag = np.clip(sag + 0.1 * np.clip(goal - p, -0.01, 0.01), -0.05, 0.05)
+        q[:7] = ctrl[:7]
+        (R, p), J = pose(q), np.asarray(jacobian(q))[:, :7]
+        turn = 0.25 * sum(np.cross(np.asarray(R)[:, i], facing[:, i]) for i in range(3))
+        twist = np.concatenate([turn, np.clip(goal + sag - p, -0.02, 0.02)])
+        dq = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(6), twist)
+        fingers = (0.04 if k < 60 else 0.0) - ctrl[7]
+        action = np.clip(np.append(dq, fingers) / 0.04, -1, 1)
+        _, state, _, done, info = step(jax.random.key(k), state, jnp.asarray(action))
+        assert not done or k == 149
+    np.testing.assert_allclose(state.state.q[9:12], target, atol=2e-3)
+    assert info["rewards"]["box_target"] > 7.6 and state.variables["reached"] == 1
