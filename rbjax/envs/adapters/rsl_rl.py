@@ -94,7 +94,9 @@ def _class() -> type:
 
         def reset(self) -> tuple[Any, dict]:
             """Begin new episodes in all environments."""
-            self._key, obs, self.state = self._begin(self._key, self.params)
+            begun = self._begin(self._key, self.params)
+            # committed to its device, as tensors are; else the second step would be compiled again
+            self._key, obs, self.state = jax.device_put(begun, *begun[2].total.devices())
             self._obs = self._tensors(obs)
             return self._obs, {}
 

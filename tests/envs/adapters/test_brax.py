@@ -12,6 +12,7 @@ from brax.envs.wrappers import training
 
 from rbjax.envs import adapters
 from rbjax.errors import InputError
+from tests.eight_devices import on_eight_devices
 from tests.envs.adapters.small_task import environment
 
 EPISODE = 30
@@ -173,6 +174,24 @@ def test_ppo_learns_to_balance():
             ),
         )  # fmt: skip
     assert lengths[-1] > 2 * lengths[0]
+
+
+def child_ppo() -> None:
+    """The trainers of Brax map over devices by `jax.pmap`."""
+    from brax.training.agents.ppo import train as ppo
+
+    assert jax.local_device_count() == 8
+    with jax.enable_x64(False):
+        lengths = curve(
+            ppo.train, adapters.to_brax(environment()), num_timesteps=20_000, num_envs=64,
+            unroll_length=10, batch_size=64, num_minibatches=8, num_updates_per_batch=4,
+            learning_rate=1e-3,
+        )  # fmt: skip
+    assert lengths[-1] > 1.5 * lengths[0]
+
+
+def test_ppo_on_eight_devices():
+    on_eight_devices(child_ppo)
 
 
 def test_sac_trains():
