@@ -6,6 +6,7 @@ import re
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -153,3 +154,18 @@ def test_view_of_nothing_is_a_sentence(tmp_path: Path) -> None:
 def test_view_without_viser_says_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert "pip install 'rbjax[viewer]'" in run("view", "pendulum", code=2).stderr
+
+
+@pytest.mark.slow
+def test_play_draws_a_checkpoint(tmp_path: Path) -> None:
+    pytest.importorskip("orbax.checkpoint", reason="checkpoints are written by orbax")
+    from rbjax.envs import learning
+
+    with jax.enable_x64(False):
+        env = rb.envs.make("cart_pole_balance")
+        policy = learning.new_policy(env, jax.random.key(0), (8,))
+        saved = learning.save_policy(tmp_path / "policy", policy, "cart_pole_balance")
+    page = tmp_path / "policy.html"
+    run("play", str(saved), "--samples", "3", "--seconds", "0.2", "--out", str(page))
+    assert '"samples": 3' in page.read_text()
+    assert "rbjax:" in run("play", str(tmp_path), "--out", str(page), code=2).stderr

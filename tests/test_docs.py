@@ -11,6 +11,7 @@ PAGES = [
     pytest.param("docs/contacts.md", marks=pytest.mark.slow),
     pytest.param("docs/extending.md", marks=pytest.mark.slow),
     pytest.param("docs/flexible.md", marks=pytest.mark.slow),
+    pytest.param("docs/viewer.md", marks=pytest.mark.slow),
     "docs/wheeled.md",
 ]
 

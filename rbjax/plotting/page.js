@@ -218,7 +218,7 @@ function camera(target) {
   const ca = Math.cos(a), sa = Math.sin(a), ce = Math.cos(e), se = Math.sin(e);
   const right = [-sa, ca, 0], up = [-se * ca, -se * sa, ce], back = [ce * ca, ce * sa, se];
   const half = 0.55 * Math.max(film.size[1] * 1.2, film.size[0] / aspect);
-  const range = (half / Math.tan(FIELD / 2) + 0.5 * reach) / zoom;
+  const range = (half / Math.tan(FIELD / 2) + 0.35 * reach) / zoom;
   const f = 1 / Math.tan(FIELD / 2), near = 0.02 * range, far = 40 * range + 4 * reach;
   const dot = (u, v) => u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
   const depth = -dot(back, target) - range, A = (far + near) / (near - far), B = 2 * far * near / (near - far);

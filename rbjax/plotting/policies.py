@@ -21,6 +21,8 @@ from rbjax.plotting.animation import animate, writable
 from rbjax.plotting.solid_shapes import solids
 
 Policy = Callable[[Any, jax.Array], jax.Array]
+#: the number of robots in a GIF or an MP4
+FEW = 8
 
 
 class Episodes(NamedTuple):
@@ -129,7 +131,7 @@ def animate_policy(
     """Write an animation of a policy in its environment, with the contact forces.
 
     Use it to look at a trained policy, or at a task with random actions. An HTML page shows
-    thousands of robots, GIF and MP4 a few.
+    thousands of robots, GIF and MP4 the first eight.
 
     Args:
         env: the environment.
@@ -161,7 +163,8 @@ def animate_policy(
     writable(path)
     found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed, params=params)
     model = env.task.model
-    options = {"samples": samples, "contacts": found.contacts} | options
+    drawn = samples if path.suffix == ".html" else min(samples, FEW)
+    options = {"samples": drawn, "contacts": found.contacts} | options
     title = env.task.name.replace("_", " ") if title is None else title
     shapes = drawn_source(model) if source is None else source
     return animate(model, found.trajectory, path, source=shapes, title=title, **options)

@@ -80,9 +80,9 @@ class Scene:
         with self.server.atomic():
             for body, node in enumerate(self.bodies):
                 node.position, node.wxyz = p[0, body], q[0, body]
-            for tube in self.tubes:
-                tube.show(p[: 1 + tube.copies], q[: 1 + tube.copies])
             offsets = np.pad(self._offsets(len(p)), ((0, 0), (0, 1)))
+            for tube in self.tubes:
+                tube.show(p + offsets[:, None], q, ghosts=self.ghosts_shown)
             for body, node in self.ghosts:
                 node.visible = self.ghosts_shown
                 node.opacity = None if self.spread else _GHOSTLY
@@ -163,9 +163,12 @@ class _Tube:
             for k in range(copies + 1)
         ]  # fmt: skip
 
-    def show(self, p: Array, q: Array) -> None:
-        R = np.asarray(quaternion.to_matrix(q), np.float32)
+    def show(self, p: Array, q: Array, *, ghosts: bool) -> None:
+        """Move the vertices with the bodies at p (S, n, 3) and q (S, n, 4)."""
+        R = np.asarray(quaternion.to_matrix(q[: 1 + self.copies]), np.float32)
         bodies, points = self.merged.bodies, self.merged.points
+        for node in self.nodes[1:]:
+            node.visible = ghosts
         for node, places, turns in zip(self.nodes, p, R, strict=False):
             moved = places[bodies] + np.einsum("nij,nj->ni", turns[bodies], points)
             node.vertices = moved.astype(np.float32)

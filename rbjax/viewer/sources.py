@@ -13,7 +13,7 @@ from rbjax.loading import load, load_trajectory, scenes
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.animation import animate
-from rbjax.plotting.policies import drawn_source, record_policy
+from rbjax.plotting.policies import FEW, drawn_source, record_policy
 from rbjax.viewer.viewing import Viewer, view
 
 
@@ -46,7 +46,7 @@ class Subject(NamedTuple):
     def animate(self, path: str | Path, **options: Any) -> Path:
         """Write it as an HTML page, a GIF or an MP4. options: of `rbjax.plotting.animate`."""
         motion = at_rest(self.model) if self.trajectory is None else self.trajectory
-        samples = 1000 if Path(path).suffix == ".html" else 8
+        samples = len(motion.q) if Path(path).suffix == ".html" else FEW
         given = {"title": self.title, "contacts": self.contacts, "samples": samples} | options
         return animate(
             self.model, motion, path, source=self.source, floating_base=self.floating_base, **given
