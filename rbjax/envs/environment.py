@@ -27,7 +27,8 @@ from rbjax.envs.control_step import ControlStep, with_model
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.task import Task
 from rbjax.kinematics.arguments import check_key
-from rbjax.meshes import on_auto_axes, on_explicit_axes
+from rbjax.meshes import automatic, on_auto_axes, on_explicit_axes
+from rbjax.model import Model
 
 
 class Environment:
@@ -74,6 +75,7 @@ class Environment:
         self.action_size: int = self._sample.action_size
         self.action_range = task.action.range(task.model)
         self._programs: dict[tuple[str, bool], Callable] = {}
+        self._traced: dict[str, dict] = {}
         self._check_terms()
 
     @functools.cached_property
@@ -86,6 +88,13 @@ class Environment:
                 noise=jnp.ones((), self.dtype),
                 values={name: jnp.asarray(x) for name, x in self.task.values.items()},
             )
+
+    @functools.cached_property
+    def _default_model(self) -> Model:
+        """The model of the task with the driver of kernels. Its leaves stay the same objects, by
+        which traced programs are found again."""
+        with jax.ensure_compile_time_eval():
+            return on_threads(self.default_params.model, self.dtype)
 
     def reset(self, key: jax.Array, params: Params | None = None) -> tuple[Any, EnvState]:
         """Begin an episode.
@@ -189,10 +198,12 @@ class Environment:
             (obs, state), path = jax.lax.scan(one, (obs, state), jnp.arange(steps))
             return obs, state, path
 
-        own = _data("unroll", key), obs, state
-        return self._run(
-            lambda own, params, part: part(all_steps, own, params), own, self._params(params)
-        )
+        own, params = (_data("unroll", key), obs, state), self._params(params)
+        if not self.kernel:
+            return all_steps(own, params)
+        saves = self.task.model.contact is not None
+        run = automatic(functools.partial(run_sample, all_steps, saves=saves))
+        return run(own, self._placed(params))
 
     def _given(self, where: str, key: Any, state: Any, action: Any) -> tuple:
         data = _data(where, key)
@@ -224,13 +235,23 @@ class Environment:
             return on_auto_axes(functools.partial(self._run, f), own, params)
         if not self.kernel:
             return f(own, params, _plain)
-        model = on_threads(params.model, self.dtype)
+        params = self._placed(params)
+        if self.task.model.contact is None:
+            whole = functools.partial(f, part=_plain)
+            return run_sample(whole, own, params, cache=self._traced.setdefault(f.__name__, {}))
+        return f(own, params, self._kernel)
+
+    def _placed(self, params: Params) -> Params:
+        """Return the parameters with the driver and the link constants of kernels."""
+        default = params is self.default_params
+        model = self._default_model if default else on_threads(params.model, self.dtype)
         if not self.task.randomise:
             model = with_compiled_constants(model, self.dtype)
-        params = with_model(params, model)
-        if self.task.model.contact is None:
-            return run_sample(lambda own, params: f(own, params, _plain), own, params)
-        return f(own, params, functools.partial(run_sample, saves=True))
+        return with_model(params, model)
+
+    def _kernel(self, f: Callable, own: tuple, params: Params) -> Any:
+        """Run a part of a step as a kernel, which is traced once for all programs that call it."""
+        return run_sample(f, own, params, saves=True, cache=self._traced.setdefault(f.__name__, {}))
 
     def _reset(self, own: tuple, params: Params, part: Callable) -> tuple[Any, EnvState]:
         return part(self._first, own, params)

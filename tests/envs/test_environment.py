@@ -257,3 +257,23 @@ def test_batch_on_a_mesh_of_explicit_axes():
     with jax.set_mesh(mesh):
         found = jax.jit(jax.vmap(env.step))(*jax.device_put(given, spread))
     np.testing.assert_array_equal(found[0], due[0])
+
+
+def test_a_step_is_traced_once_for_all_programs():
+    count = []
+
+    def counted(to):
+        count.append(0)
+        return to.after.q
+
+    env = rb.envs.Environment(task(observations={"policy": (Observation("q", counted),)}))
+    _, state = states(env)
+    given = keys(3), state, jnp.zeros((3, 1))
+    due = jax.jit(jax.vmap(env.step))(*given)
+    before = len(count)
+    found = jax.jit(lambda *given: jax.vmap(env.step)(*given))(*given)  # another program
+    assert len(count) == before
+    np.testing.assert_array_equal(found[0], due[0])
+    changed = env.default_params.replace(noise=jnp.ones(()) * 2)
+    assert jax.jit(lambda *given: jax.vmap(env.step, (0, 0, 0, None))(*given, changed))(*given)
+    assert len(count) > before  # other constants are another program

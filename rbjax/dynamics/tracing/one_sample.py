@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiler import kernels_available
 from rbjax.compiler.jax.function import trace
@@ -23,6 +24,7 @@ def run_sample(
     *,
     saves: bool = False,
     multi_kernel: Callable | None = None,
+    cache: dict | None = None,
 ) -> Any:
     """Compute f(own, shared), whose `vmap` is one kernel.
 
@@ -34,26 +36,51 @@ def run_sample(
     saves: whether a reverse derivative saves the named values of the forward pass.
     multi_kernel: function of the traced values of `own` that computes the leaves of the result in
         several kernels, for a large model on a GPU; or None.
+    cache: programs of f that are already traced, by their arguments; None to trace f at each call.
+        f must not close over traced values then.
     """
     moving, closed = split_tracers((own, shared))
     if not moving or not kernels_available():
         return f(own, shared)
-    structure: list[Any] = []
+    key = _key((own, shared)) if cache is not None else None
+    found = cache.get(key) if cache is not None else None
+    if found is None:
+        structure: list[Any] = []
 
-    def flat(*args: jax.Array) -> list[jax.Array]:
-        leaves, tree = jax.tree.flatten(f(*closed(list(args))))
-        structure.append(tree)
-        return [jnp.asarray(x) for x in leaves]
+        def flat(*args: jax.Array) -> list[jax.Array]:
+            leaves, tree = jax.tree.flatten(f(*closed(list(args))))
+            structure.append(tree)
+            return [jnp.asarray(x) for x in leaves]
 
-    program, closed_over = trace(flat, moving)
-    if saves:
-        program = dataclasses.replace(program, saves=True)
-    if multi_kernel is not None:
-        program = dataclasses.replace(program, multi_kernel=multi_kernel)
+        program, closed_over = trace(flat, moving)
+        if saves:
+            program = dataclasses.replace(program, saves=True)
+        if multi_kernel is not None:
+            program = dataclasses.replace(program, multi_kernel=multi_kernel)
+        found = program, closed_over, structure[0], (own, shared)
+        if cache is not None and not closed_over:
+            # JAX arrays are identified by `id`, so they are kept
+            cache[key] = *found[:3], closed([None] * len(moving))
+    program, closed_over, tree, _ = found
     count = len(split_tracers(own)[0])
     if count == len(moving):
-        return jax.tree.unflatten(structure[0], run(program, [*closed_over, *moving]))
+        return jax.tree.unflatten(tree, run(program, [*closed_over, *moving]))
     known = [True] * len(closed_over) + [False] * count + [True] * (len(moving) - count)
     operands = [*closed_over, *[None] * count, *moving[count:]]
     program, uniform = hoist_uniform(program, known, operands, run)
-    return jax.tree.unflatten(structure[0], run(program, [*moving[:count], *uniform]))
+    return jax.tree.unflatten(tree, run(program, [*moving[:count], *uniform]))
+
+
+def _key(given: Any) -> tuple:
+    """Return the key of a program: types of traced values, and constants."""
+    leaves, tree = jax.tree.flatten(given)
+    return tree, *map(_identity, leaves)
+
+
+def _identity(x: Any) -> Any:
+    """Return the type of a traced value, the entries of a NumPy array, or the id of a JAX array."""
+    if isinstance(x, jax.core.Tracer):
+        return x.shape, x.dtype
+    if isinstance(x, np.ndarray | np.generic):
+        return x.shape, x.dtype, x.tobytes()
+    return id(x)
