@@ -24,7 +24,7 @@ from rbjax.envs.transition import Transition
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State, with_constants
-from rbjax.motion.field import Field, dynamics_of, free_motion
+from rbjax.motion.field import Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.integrators import advance_state, integrator_of
 from rbjax.motion.step import with_memory
 from rbjax.sensors.solution import Solution
@@ -37,7 +37,8 @@ class ControlStep:
         self.task = task
         self.dtype = jnp.zeros(()).dtype
         model = task.model
-        self.dynamics = dynamics_of("Environment", model, free_motion, None, steps=True)
+        law = with_contact("Environment", model, free_motion, task.contact)
+        self.dynamics = dynamics_of("Environment", model, law, None, steps=True)
         self.integrator = integrator_of("Environment", task.integrator, self.dynamics, model)
         self.dt = check_step("Environment", "dt", task.dt or model.timestep, self.dtype)
         self.action_size: int = task.action.size(model)

@@ -217,6 +217,8 @@ class Task:
         decimation: physics steps in a control step.
         dt: physics step in s; None for the model's timestep.
         integrator: as in `rb.rollout`.
+        contact: law of contact as in `rb.rollout`, such as rb.contact.SoftContact(iterations=4);
+            None for the law of the model.
         episode: control steps in an episode; then it is truncated.
         values: name -> number or array: further numbers of the task, `Params.values`.
         total: function (weighted reward terms, dt) that returns the reward of a step.
@@ -249,6 +251,7 @@ class Task:
     decimation: int = 1
     dt: float | None = None
     integrator: Any = None
+    contact: Any = None
     episode: int = 1000
     values: Mapping[str, Any] = field(default_factory=dict)
     total: Callable[[Mapping[str, jax.Array], Any], Any] = sum_of_rewards

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.contact import SoftContact
 from rbjax.envs import terms
 from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
@@ -56,7 +57,11 @@ EVERY, LATERAL = 501, 0.1
 
 @register("g1_joystick")
 def g1_joystick(
-    *, pushes: bool = True, randomise: bool = False, hand_contacts: bool = True
+    *,
+    pushes: bool = True,
+    randomise: bool = False,
+    hand_contacts: bool = True,
+    iterations: int | None = None,
 ) -> Task:
     """Return the task of a G1 that follows a velocity command on a flat floor.
 
@@ -65,6 +70,7 @@ def g1_joystick(
         randomise: whether friction, masses and the like are drawn at each reset.
         hand_contacts: whether hands and thighs exert contact forces; without them the contact
             problem is sparser. Their touch costs reward in both cases.
+        iterations: most Newton steps of a contact problem; None: to convergence.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 
@@ -93,6 +99,7 @@ def g1_joystick(
             "fallen": terms.fallen(TORSO), "feet": terms.any_touching([FEET]),
         },
         randomise=_randomisations(model) if randomise else (),
+        contact=None if iterations is None else SoftContact(iterations),
         decimation=DECIMATION, dt=DT / DECIMATION, episode=1000,
         values=_values(pushes), tracked=BODY,
     )  # fmt: skip
