@@ -4,6 +4,7 @@ Files:
     brax.py: `to_brax` and `wrap_brax`, for Brax's PPO, SAC and APG.
     gymnax.py: `to_gymnax` and `to_rejax`.
     gymnasium.py: `to_gymnasium`, `to_gymnasium_vector`, `to_gymnasium_functional`.
+    gymnasium_names.py: `register_gymnasium`, names for `gymnasium.make`.
     rsl_rl.py: `to_rsl_rl`, with PyTorch tensors that share memory with JAX.
     packages.py: the error of a package that is not installed.
 """
@@ -14,11 +15,13 @@ from rbjax.envs.adapters.gymnasium import (
     to_gymnasium_functional,
     to_gymnasium_vector,
 )
+from rbjax.envs.adapters.gymnasium_names import register_gymnasium
 from rbjax.envs.adapters.gymnax import GymnaxParams, to_gymnax, to_rejax
 from rbjax.envs.adapters.rsl_rl import to_rsl_rl
 
 __all__ = [
     "GymnaxParams",
+    "register_gymnasium",
     "to_brax",
     "to_gymnasium",
     "to_gymnasium_functional",

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
+from rbjax.envs.adapters.gymnasium import finite
 from rbjax.envs.adapters.packages import check_environment, require
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import Params
@@ -180,7 +181,7 @@ def _classes() -> tuple[type, type]:
             )
             return state.replace(
                 pipeline_state=now,
-                obs=self.renamed(obs),
+                obs=self.renamed(finite(obs, info["failed"])),
                 reward=reward,
                 done=info["terminated"].astype(reward.dtype),
                 metrics={**state.metrics, **self.metrics(info, reward)},

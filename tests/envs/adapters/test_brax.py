@@ -99,6 +99,20 @@ def test_the_length_of_episodes_is_that_of_the_trainer(env):
     assert path.info["truncation"][1::2].all() and not path.info["truncation"][::2].any()
 
 
+def test_steps_may_be_set(env):
+    """As APG does, with random numbers, so that episodes do not end together."""
+    wrapped = adapters.wrap_brax(env, 10)
+    state = wrapped.reset(jax.random.split(jax.random.key(0), 3))
+    state.info["steps"] = jnp.array([0.0, 8.0, 9.0])
+    state = wrapped.step(state, jnp.zeros((3, 1)))
+    assert state.info["truncation"].tolist() == [0, 0, 1]
+    assert state.info["steps"].tolist() == [1, 9, 10]
+    state = wrapped.step(state, jnp.zeros((3, 1)))
+    assert state.info["truncation"].tolist() == [0, 1, 0]
+    assert state.info["steps"].tolist() == [2, 10, 1]
+    assert state.pipeline_state.step.tolist() == [2, 0, 1]
+
+
 def test_groups_have_the_names_of_brax():
     core = environment(critic=True)
     env = adapters.to_brax(core)

@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
+import rbjax as rb
 from rbjax.envs import adapters
 from rbjax.errors import InputError, UnknownName
 from tests.envs.adapters.small_task import environment
@@ -191,6 +192,20 @@ def test_functions_compose_with_vmap_and_jit(env):
     np.testing.assert_allclose(functional.reward(None, None, after, None), reward, rtol=1e-12)
     assert not functional.terminal(after, None).any()
     assert functional.default_params is env.default_params
+
+
+@ADVICE
+def test_tasks_have_names():
+    """A named environment is made again by the checker, from its specification."""
+    names = adapters.register_gymnasium()
+    assert adapters.register_gymnasium() == names and len(names) == len(rb.envs.tasks())
+    one = gymnasium.make("rbjax/cart_pole_balance-v0")
+    check_env(one.unwrapped)
+    batch = gymnasium.make_vec("rbjax/cart_pole_balance-v0", num_envs=3, autoreset="same_step")
+    assert batch.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    assert batch.reset(seed=0)[0].shape == (3, 5) and batch.spec.id == one.spec.id
+    with pytest.raises(UnknownName, match="option"):
+        gymnasium.make("rbjax/cart_pole_balance-v0", colour="red")
 
 
 def test_wrong_arguments_are_told(env):
