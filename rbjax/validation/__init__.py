@@ -1,6 +1,7 @@
 """Side-by-side comparison with MuJoCo C and MJX."""
 
 from rbjax.validation.comparison import compare
+from rbjax.validation.policies import evaluate_in_mujoco
 from rbjax.validation.report import Error, Report, Row
 
-__all__ = ["Error", "Report", "Row", "compare"]
+__all__ = ["Error", "Report", "Row", "compare", "evaluate_in_mujoco"]

@@ -57,7 +57,6 @@ def evaluate(
     instance("evaluate", "env", env, Environment, "an rb.envs.Environment")
     check_key("evaluate", key)
     integer("evaluate", "episodes", episodes, least=1)
-    params = env.default_params if params is None else params
     one, two = jax.random.split(key)
 
     @jax.jit
