@@ -6,7 +6,8 @@
 prints a line for each report and writes results/training-TASK-ALGORITHM-<device>.json after each,
 so that a run that is cut leaves what it reached; and with --out a folder with table.csv, chart.png
 and the checkpoint. f32. The clock starts before the environment is made. --goal stops the training
-at a reward of an episode. --set changes a setting: --set num_envs=4096.
+at a reward of an episode. --set changes a setting: --set num_envs=4096. --option is an option of the
+task: --option iterations=3.
 """
 
 from __future__ import annotations
@@ -45,19 +46,21 @@ def main() -> None:
     parser.add_argument("--devices", type=int, default=1)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--episodes", type=int, default=256, help="of the last evaluation; 0: none")
     given = parser.parse_args()
     jax.numpy.zeros(1).block_until_ready()  # the device is awake
 
     learning = rb.envs.learning
     began = time.perf_counter()
-    env = rb.envs.make(given.task)
+    options = {n: ast.literal_eval(x) for n, x in (o.split("=", 1) for o in given.option)}
+    env = rb.envs.make(given.task, **options)
     chosen = learning.settings(given.task, given.algorithm)
     chosen |= {} if given.steps is None else {"steps": given.steps}
     changed = dict(pair.split("=", 1) for pair in given.set)
     chosen |= {name: ast.literal_eval(value) for name, value in changed.items()}
     row: dict[str, Any] = {
-        "task": given.task, "algorithm": given.algorithm, "seed": given.seed,
+        "task": given.task, "options": options, "algorithm": given.algorithm, "seed": given.seed,
         "devices": given.devices, "settings": chosen, "made_s": time.perf_counter() - began,
     }  # fmt: skip
     name = f"training-{given.task}-{given.algorithm}".replace("_", "-")
@@ -72,7 +75,7 @@ def main() -> None:
             row.update(seconds=time.perf_counter() - began, steps=steps, curve=keep)
             save(name, [row])
             if given.out is not None and policy is not None:
-                learning.save_policy(given.out, policy, given.task, {}, chosen)
+                learning.save_policy(given.out, policy, given.task, options, chosen)
             if given.goal is not None and figures["reward"] >= given.goal:
                 raise GoalReached
 
