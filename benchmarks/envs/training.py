@@ -6,8 +6,8 @@
 prints a line for each report and writes results/training-TASK-ALGORITHM-<device>.json after each,
 so that a run that is cut leaves what it reached; and with --out a folder with table.csv, chart.png
 and the checkpoint. f32. The clock starts before the environment is made. --goal stops the training
-at a reward of an episode. --set changes a setting: --set num_envs=4096. --option is an option of the
-task: --option iterations=3.
+at a reward of an episode. --set changes a setting: --set num_envs=4096. --option changes
+an option of the task: --option iterations=3.
 """
 
 from __future__ import annotations
