@@ -26,6 +26,11 @@ def switched_commands(dt: float, name: str = "command") -> tuple[Variable, ...]:
             `name_time`, s, the mean time between changes.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 joystick.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [v.name for v in rb.envs.terms.switched_commands(0.02)]
+        ['command', 'command_steps']
     """
 
     def steps(key: Any, params: Any) -> jax.Array:
@@ -66,6 +71,11 @@ def periodic_commands(every: int, name: str = "command") -> tuple[Variable, ...]
     Args:
         every: number of control steps.
         name: name of the variable (n,). Its values are `name_low`, `name_high` (n,), `name_stop` s.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [v.name for v in rb.envs.terms.periodic_commands(500, "goal")]
+        ['goal', 'goal_steps']
     """
 
     def drawn(key: Any, params: Any) -> jax.Array:

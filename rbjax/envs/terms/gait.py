@@ -33,6 +33,12 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
     Args:
         dt: control step, s.
         offsets: phase of each leg at a reset, rad.
+
+    Example:
+        >>> import rbjax as rb
+        >>> phase, rate = rb.envs.terms.gait_clock(0.02, (0.0, 1.5))
+        >>> phase.start(None, None).tolist()
+        [0.0, 1.5]
     """
 
     def rate(key: Any, params: Any) -> jax.Array:
@@ -56,7 +62,14 @@ def phase_cosines(t: Any) -> jax.Array:
 
 
 def height_of_phase(phase: jax.Array, height: float) -> jax.Array:
-    """Return the height z(p) (n,) of feet, m, that rise to `height`."""
+    """Return the height z(p) (n,) of feet, m, that rise to `height`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> import jax.numpy as jnp
+        >>> rb.envs.terms.height_of_phase(jnp.array([-jnp.pi, 0.0]), 0.25).tolist()
+        [0.0, 0.25]
+    """
     x = (phase + math.pi) / (2 * math.pi)
     rises = x <= 0.5
     y = jnp.where(rises, 2 * x, 2 * x - 1)

@@ -64,6 +64,11 @@ def joint_deviation(home: Sequence[float], weights: Any = 1.0) -> Term:
     """Return the sum of weights * |q_j - h|.
 
     weights: number, array (n,), or a function of the transition that returns one.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("knees", rb.envs.terms.joint_deviation((0.5, 0.5)), -0.1).weight
+        -0.1
     """
     offsets = joint_offsets(home)
 

@@ -26,6 +26,12 @@ def velocity_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...]
             ranges of uniform distributions.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, G1 joystick.
+
+    Example:
+        >>> import rbjax as rb
+        >>> variables, event = rb.envs.terms.velocity_pushes(0.02)
+        >>> event.name
+        'push'
     """
 
     def steps(key: Any, params: Any) -> jax.Array:
@@ -56,6 +62,12 @@ def force_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...], E
     The variable `name` (3,) is the acceleration in world axes, m/s^2.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 joystick.
+
+    Example:
+        >>> import rbjax as rb
+        >>> variables, event = rb.envs.terms.force_pushes(0.02, "gust")
+        >>> variables[0].name
+        'gust'
     """
 
     def drawn(what: str, unit: float) -> Any:

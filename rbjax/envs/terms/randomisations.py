@@ -17,7 +17,13 @@ from rbjax.model import Model
 
 
 def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Randomisation:
-    """Return the randomisation that sets one coefficient of sliding friction of geoms."""
+    """Return the randomisation that sets one coefficient of sliding friction of geoms.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.terms.set_friction("floor", [0], 0.4, 1.0).name
+        'floor'
+    """
 
     def draw(key: Any, params: Any) -> jax.Array:
         return jax.random.uniform(key, (), minval=low, maxval=high)
@@ -57,6 +63,13 @@ def joint_randomisations(
         model: the robot.
         friction, armature: ranges of the factors of friction loss and armature of each joint.
         zero: greatest change of the zero of each joint, rad.
+
+    Example:
+        >>> import rbjax as rb
+        >>> found = rb.envs.terms.joint_randomisations(
+        ...     rb.load("quadruped"), friction=(0.9, 1.1), armature=(1.0, 1.05), zero=0.05)
+        >>> [r.name for r in found]
+        ['friction_loss', 'armature', 'joint_zero']
     """
     free = model.nv - (model.nq - 7)
     joints, coordinates = np.arange(model.nv) >= free, np.arange(model.nq) >= 7
@@ -89,6 +102,13 @@ def mass_randomisations(
         body: the body that carries a load.
         factor: range of the factor of the mass of each body.
         added: greatest absolute mass that is added to the body, kg.
+
+    Example:
+        >>> import rbjax as rb
+        >>> found = rb.envs.terms.mass_randomisations(
+        ...     rb.load("quadruped"), "trunk", factor=(0.9, 1.1), added=1.0)
+        >>> [r.name for r in found]
+        ['masses', 'load']
     """
     limit = np.zeros(model.nb)
     limit[model.body(body)] = added

@@ -34,6 +34,12 @@ def touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
     """Observe whether the two geoms of each pair (n,) touch.
 
     pairs: names of geoms. reach: m, the greatest distance that counts as touching.
+
+    Example:
+        >>> import rbjax as rb
+        >>> feet = rb.envs.terms.touching([("left_foot", "floor")])
+        >>> rb.envs.Observation("contact", feet).name
+        'contact'
     """
     fixed = tuple((a, b) for a, b in pairs)
 

@@ -19,6 +19,11 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
 
     frame: site or body, in whose axes the command is. command: variable (3,) of the task.
     width: in m^2/s^2.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("speed", rb.envs.terms.track_velocity("imu")).weight
+        1.0
     """
 
     def read(t: Any) -> jax.Array:
