@@ -9,6 +9,7 @@ import rbjax as rb
 
 PAGES = [
     pytest.param("docs/contacts.md", marks=pytest.mark.slow),
+    pytest.param("docs/environments.md", marks=pytest.mark.slow),
     pytest.param("docs/extending.md", marks=pytest.mark.slow),
     pytest.param("docs/flexible.md", marks=pytest.mark.slow),
     pytest.param("docs/viewer.md", marks=pytest.mark.slow),

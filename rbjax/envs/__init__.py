@@ -7,6 +7,8 @@ Files:
     episode.py: `Params` and `EnvState`, the pytrees.
     environment.py: `Environment`, `reset`, `step`, `unroll`.
     control_step.py: a control step of one sample.
+    optimal_control.py: a task as an optimal control problem.
+    identification.py: observations as sensors, logs as recordings.
     checks.py: checks of tasks and parameters.
     registry.py: `tasks`, `make`, `register`.
     terrain.py: `rough_ground`.
@@ -23,6 +25,7 @@ from rbjax.envs import adapters, learning, terms
 from rbjax.envs.actions import Direct, Increment, Offset, Scaled
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
+from rbjax.envs.identification import control_grid, log_recording, observation_sensors
 from rbjax.envs.registry import make, register, tasks
 from rbjax.envs.task import (
     Event,
@@ -54,8 +57,11 @@ __all__ = [
     "Transition",
     "Variable",
     "adapters",
+    "control_grid",
     "learning",
+    "log_recording",
     "make",
+    "observation_sensors",
     "offset",
     "register",
     "rough_ground",

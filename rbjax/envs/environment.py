@@ -11,7 +11,7 @@ occupy registers while the contact problems are solved.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -19,12 +19,14 @@ import jax.numpy as jnp
 
 from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled, inside_jit
+from rbjax.control.optimal.problem import Problem
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.one_sample import run_sample
 from rbjax.envs.checks import check_params, check_shape, check_task
 from rbjax.envs.control_step import ControlStep, with_model
 from rbjax.envs.episode import EnvState, Params
+from rbjax.envs.optimal_control import deterministic_step, parts_read, task_problem
 from rbjax.envs.task import Task
 from rbjax.kinematics.arguments import check_key
 from rbjax.meshes import automatic, on_auto_axes, on_explicit_axes
@@ -204,6 +206,52 @@ class Environment:
         saves = self.task.model.contact is not None
         run = automatic(functools.partial(run_sample, all_steps, saves=saves))
         return run(own, self._placed(params))
+
+    def problem(
+        self, horizon: int, params: Params | None = None, *, running: Sequence[Any] = (),
+        terminal: Sequence[Any] = (), constraints: Sequence[Any] = (), design: Any = None,
+    ) -> Problem:  # fmt: skip
+        """Return the optimal control problem of the task: its cost is minus the return.
+
+        Use it for trajectory optimisation (`rb.control.solve`) and model predictive control
+        (`rb.control.mpc`) with the rewards of the task. Controls of the problem are actions, its
+        states are pairs (now, last) of states of an episode: start it with the state of `reset`.
+
+        The problem is deterministic. Left out are events, noise, delays, randomisation and the ends
+        of episodes. Variables whose `update` draws random numbers keep their values.
+
+        Args:
+            horizon: number of control steps.
+            params: parameters; None for `default_params`.
+            running, terminal, constraints, design: further terms, as in `rb.control.Problem`. Their
+                state is a pair: `state.now.state.q`. Running costs are summed, not multiplied by
+                dt.
+
+        Returns:
+            `rb.control.Problem`.
+
+        Example:
+            >>> import jax, rbjax as rb
+            >>> env = rb.envs.make("cart_pole_balance")
+            >>> problem = env.problem(20)
+            >>> _, state = env.reset(jax.random.key(0))
+            >>> plan = rb.control.solve(problem, state, iterations=5)
+            >>> plan.ctrl.shape
+            (20, 1)
+        """
+        given = self._params(params)
+        sample, parts = self._planned
+        return task_problem(
+            sample, parts, horizon, self.dt, given, self.action_range, running=running,
+            terminal=terminal, constraints=constraints, design=design,
+        )  # fmt: skip
+
+    @functools.cached_property
+    def _planned(self) -> tuple[ControlStep, tuple]:
+        """The control step of `problem`, and the parts of its states with coordinates."""
+        with jax.ensure_compile_time_eval():
+            sample = deterministic_step(self.task, self.default_params, self.dtype)
+            return sample, parts_read(sample, self.default_params)
 
     def _given(self, where: str, key: Any, state: Any, action: Any) -> tuple:
         data = _data(where, key)
