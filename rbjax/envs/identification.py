@@ -203,7 +203,8 @@ def _sensor(
     def plain(action: jax.Array, step: jax.Array, *others: jax.Array) -> jax.Array:
         model = task.model
         state = model.default_state()
-        state = State(*(x.astype(env.dtype) for x in (state.q, state.v)), model.start(env.dtype))
+        q, v = (x.astype(env.dtype) for x in (state.q, state.v))
+        state = State(q, v, model.start(env.dtype))
         context = Context.of(model, 0.0, state, jnp.zeros(model.nu, env.dtype), env.dt)
         own = variables | dict(zip(names, others, strict=True))
         return value(context, action, own, step)

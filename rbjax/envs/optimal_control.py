@@ -206,7 +206,7 @@ def parts_read(sample: ControlStep, params: Params) -> tuple[Part, ...]:
 
 def _part(path: tuple) -> Part | None:
     """Return the part of a leaf of a pair; None for a leaf without tangent coordinates."""
-    which, field, *rest = (getattr(k, "name", getattr(k, "key", None)) for k in path)
+    which, field, *rest = (str(getattr(k, "name", getattr(k, "key", ""))) for k in path)
     if field == "state":
         return (which, "state", "") if rest[0] in ("q", "v", "x") else None
     if field in ("rate", "action", "ctrl"):

@@ -60,12 +60,13 @@ def ice_car(friction: float = 0.25, slip_stiffness: float = 5.0) -> Model:
     mass, at = np.asarray(model.bodies.mass), np.asarray(model.bodies.position)[:, 0]  # car at 0
     front, rear = (at[model.body(name)] for name in WHEELS)
     share = ((mass * at).sum() / mass.sum() - rear) / (front - rear)  # of the front axle
-    law = Fiala(slip_stiffness, friction, smooth_speed=0.5)
-    tyres = []
+    coefficients: tuple[Any, ...] = slip_stiffness, friction, 0.5
+    law, tyres = Fiala(*coefficients), []
     for name, part in zip(WHEELS, (share, 1 - share), strict=True):
         depth = part * mass.sum() * 9.81 / STIFFNESS + ONSET / 2
         wheel = Place.on(body=name, axis=[0.0, 1.0, 0.0])
-        tyres.append(TyreOnGround(Place.on(), wheel, law, RADIUS + depth, STIFFNESS, 0.0, ONSET))
+        spring: tuple[Any, ...] = RADIUS + depth, STIFFNESS, 0.0, ONSET
+        tyres.append(TyreOnGround(Place.on(), wheel, law, *spring))
     return model.with_forces(*tyres)
 
 
@@ -116,8 +117,8 @@ def race_on_ice(*, randomise: bool = True) -> Task:
         terminations={"left_track": left_track, "turned_around": turned_around},
         randomise=(
             (
-                scale("friction", lambda m: [t.tyre.friction for t in tyres(m)], 0.6, 1.2),
-                scale("slip_stiffness", lambda m: [t.tyre.stiffness for t in tyres(m)], 0.7, 1.3),
+                scale("friction", lambda m: [law.friction for law in laws(m)], 0.6, 1.2),
+                scale("slip_stiffness", lambda m: [law.stiffness for law in laws(m)], 0.7, 1.3),
                 scale("load", loads, 0.9, 1.2),
             )
             if randomise
@@ -267,6 +268,11 @@ def start(key: jax.Array, params: Params) -> State:
 def tyres(model: Model) -> list[TyreOnGround]:
     """Return the tyres of the car."""
     return [f for f in model.forces if isinstance(f, TyreOnGround)]
+
+
+def laws(model: Model) -> list[Any]:
+    """Return the laws of the tyres."""
+    return [t.tyre for t in tyres(model)]
 
 
 def loads(model: Model) -> list:

@@ -41,11 +41,11 @@ def car_with_trailer() -> Model:
         >>> car_with_trailer().joint_names
         ('x', 'y', 'heading', 'steering', 'hitch')
     """
-    ahead = {"axis": [1.0, 0.0, 0.0]}
+    ahead = [1.0, 0.0, 0.0]
     places = (
-        Place.on(site="rear_axle", **ahead),
-        Place.on(body="front_wheel", **ahead),
-        Place.on(site="trailer_axle", **ahead),
+        Place.on(site="rear_axle", axis=ahead),
+        Place.on(body="front_wheel", axis=ahead),
+        Place.on(site="trailer_axle", axis=ahead),
     )
     return load(FILE).with_constraints(*(KnifeEdge(Place.on(), place) for place in places))
 
