@@ -9,6 +9,7 @@ import rbjax as rb
 from tests.envs.tasks.mujoco_states import (
     after,
     at,
+    batch,
     motion,
     mujoco_model,
     resets,
@@ -116,3 +117,22 @@ def test_single_precision(env):
     double = stepped(env, STATES)
     np.testing.assert_allclose(state.state.q, double[1].state.q, atol=5e-4)
     np.testing.assert_allclose(reward, double[2], atol=5e-4)
+
+
+def test_gradient_through_contacts():
+    """Of the speed after a control step with respect to the action, against central differences;
+    no contact begins or ends in the step."""
+    env = rb.envs.make("walker_walk")
+    state = jax.tree.map(lambda x: x[0], batch(env, STATES[8:9]))
+    assert at(M, STATES[8]).ncon > 0
+
+    @jax.jit
+    def speed(action):
+        _, after, reward, *_ = env.step_once(jax.random.key(0), state, action)
+        return reward + (after.state.v**2).sum()
+
+    action, h = jnp.full(6, 0.1), 1e-6
+    grad = jax.jit(jax.grad(speed))(action)
+    numeric = [(speed(action + e) - speed(action - e)) / (2 * h) for e in h * jnp.eye(6)]
+    # rounding of a speed^2 near 100, over 2e-6
+    np.testing.assert_allclose(grad, jnp.stack(numeric), rtol=1e-6, atol=1e-6)
