@@ -30,10 +30,10 @@ def walk(env):
         return jax.vmap(env.step_once, (0, 0, 0, None))(keys, state, action, quiet)
 
     _, state = jax.vmap(env.reset, (0, None))(keys, quiet)
-    # one robot stands still by command, one falls, two fly, one of them with a bent knee
+    # one robot stands still by command, one falls, two fly, one with a bent knee
     command = state.variables["command"].at[0].set(0.0)
     q = state.state.q.at[1, 3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])).at[1:4, 2].add(0.3)
-    q = q.at[3, 9].set(-2.75)
+    q = q.at[3, 9].set(-3.5)
     state = state.replace(
         variables=state.variables | {"command": command}, state=state.state.replace(q=q)
     )
