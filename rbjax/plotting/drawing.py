@@ -48,16 +48,19 @@ class Outline(NamedTuple):
 
 def outlines(
     shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, alpha: float = 1.0,
-    world: bool = True,
+    world: bool = True, window: Array | None = None,
 ) -> list[Outline]:  # fmt: skip
-    """Compute the outlines of solids in the view, from far to near. R (nb, 3, 3), p (nb, 3)."""
+    """Compute the outlines of solids in the view, from far to near. R (nb, 3, 3), p (nb, 3).
+
+    window: (2, 2), lower and upper corner of the picture; terrain outside of it is left out.
+    """
     axes, found = camera.axes, []
     for s in shapes:
         if s.body < 0 and not world:
             continue
         view = s.placed(R, p) @ axes.T
         if s.triangles is not None:
-            found += _terrain(s, view, alpha)
+            found += _terrain(s, view, alpha, window)
             continue
         hull = _hull(view[:, :2])
         if hull is not None:
@@ -72,14 +75,19 @@ def outlines(
     return [outline for _, outline in sorted(found, key=lambda item: item[0])]
 
 
-def _terrain(s: Solid, view: Array, alpha: float) -> list[tuple[float, Outline]]:
+def _terrain(
+    s: Solid, view: Array, alpha: float, window: Array | None
+) -> list[tuple[float, Outline]]:
     """Return the triangles of a surface that face the eye, with their depths. view: (n, 3)."""
     assert s.triangles is not None
     corners = view[s.triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     facing = area[:, 2] / np.maximum(np.linalg.norm(area, axis=-1), 1e-300)
-    out = []
-    for k in np.flatnonzero(facing > 0):
+    shown, out = facing > 0, []
+    if window is not None:
+        inside = (corners[..., :2] > window[0]) & (corners[..., :2] < window[1])
+        shown &= inside.any(1).all(-1)
+    for k in np.flatnonzero(shown):
         red, green, blue = (float(x * (0.55 + 0.45 * facing[k])) for x in s.color)
         face = (red, green, blue, alpha * s.alpha)
         out.append((float(corners[k, :, 2].mean()), Outline(corners[k, :, :2], face, face)))
@@ -198,6 +206,7 @@ class Stage:
         shown = []
         for sample in reversed(range(len(f.R))):  # the first sample is in front
             style: Any = {"alpha": 1.0 if sample == 0 else FADED, "world": sample == 0}
+            style["window"] = centre + np.array([-half, half])
             shown += outlines(f.shapes, f.R[sample, frame], f.p[sample, frame], f.camera, **style)
         self.solids.set_verts([one.points for one in shown])
         self.solids.set_facecolor([one.face for one in shown])

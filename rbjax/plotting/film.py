@@ -22,6 +22,8 @@ from rbjax.plotting.solid_shapes import Solid
 Array = np.ndarray
 #: the number of frames from which the view is computed
 _PROBED = 60
+#: the number of entries of rotations from which poses are kept in single precision
+_MANY = 20_000_000
 #: the number of samples of a batch from which the view is computed
 _SAMPLES = 16
 #: the camera follows the robot if it moves more than this many times its size
@@ -110,7 +112,8 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
     """
     q = configurations("poses", model, q)
     R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))
-    return station_poses(model, np.asarray(R, float), np.asarray(p, float), q)
+    kind = float if R.size < _MANY else np.float32
+    return station_poses(model, np.asarray(R, kind), np.asarray(p, kind), q)
 
 
 def frames(
