@@ -37,7 +37,11 @@ def check_task(task: Any) -> None:
         )
     if not task.rewards:
         raise InputError(f"{where}: rewards is empty, expected one or more rb.envs.Reward")
-    lists = {"rewards": task.rewards, "variables": task.variables, "randomise": task.randomise}
+    lists: dict[str, Any] = {
+        "rewards": task.rewards,
+        "variables": task.variables,
+        "randomise": task.randomise,
+    }
     lists |= {f"observations[{g!r}]": terms for g, terms in task.observations.items()}
     for name, terms in lists.items():
         twice = [n for n, count in Counter(t.name for t in terms).items() if count > 1]
@@ -127,9 +131,9 @@ def check_params(name: str, params: Any, due: Any) -> None:
         names, expected = sorted(getattr(params, field)), sorted(getattr(due, field))
         if names != expected:
             raise InputError(f"{where}: params.{field} has {names}, expected {expected}")
-    found, structure = jax.tree_util.tree_flatten_with_path(params)
-    expected_leaves, expected_structure = jax.tree_util.tree_flatten_with_path(due)
-    if structure != expected_structure:
+    found, _ = jax.tree_util.tree_flatten_with_path(params)
+    expected_leaves, _ = jax.tree_util.tree_flatten_with_path(due)
+    if jax.tree.structure(params) != jax.tree.structure(due):
         raise InputError(
             f"{where}: params.model is another robot than that of the task, expected its model "
             "with changed leaves"

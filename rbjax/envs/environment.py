@@ -197,8 +197,8 @@ class Environment:
                 kept |= {name: info[name] for name in ("terminated", "truncated")}
                 return (after, state), kept
 
-            (obs, state), path = jax.lax.scan(one, (obs, state), jnp.arange(steps))
-            return obs, state, path
+            (obs, state), found = jax.lax.scan(one, (obs, state), jnp.arange(steps))
+            return obs, state, found
 
         own, params = (_data("unroll", key), obs, state), self._params(params)
         if not self.kernel:
@@ -325,16 +325,17 @@ class Environment:
             return *sample.prepare(event, state, action, params), jax.random.key_data(rest)
 
         def physics(own: tuple, params: Params) -> tuple:
-            return sample.physics(*own, params)
+            state, step, drawn, ctrl = own
+            return sample.physics(state, step, drawn, ctrl, params)
 
         state, ctrl, rest = part(prepare, own, params)
         moved = part(physics, (state.state, state.step, state.drawn, ctrl), params)
         return rest, state, own[2], ctrl, moved
 
     def _next(self, own: tuple, params: Params) -> tuple:
-        data, *others = own
+        data, last, action, ctrl, moved = own
         finish, begin, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.finish(finish, *others, params)
+        state, reward, done, info = self._sample.finish(finish, last, action, ctrl, moved, params)
         new = self._sample.begin(begin, params)
         new = new.replace(buffers={**state.buffers, **new.buffers})
         state = jax.tree.map(lambda a, b: jnp.where(done, a, b), new, state)
@@ -342,9 +343,9 @@ class Environment:
         return obs, state, reward, done, info
 
     def _last(self, own: tuple, params: Params) -> tuple:
-        data, *others = own
+        data, last, action, ctrl, moved = own
         finish, _, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.finish(finish, *others, params)
+        state, reward, done, info = self._sample.finish(finish, last, action, ctrl, moved, params)
         obs, state = self._sample.observe(noise, state, params, False)
         return obs, state, reward, done, info
 

@@ -84,9 +84,9 @@ def evaluate_in_mujoco(
 
     @jax.jit
     def finish(last: Any, action: Any, ctrl: Any, moved: Any, key: jax.Array) -> tuple:
-        def each(key: jax.Array, *given: Any) -> tuple:
+        def each(key: jax.Array, last: Any, action: Any, ctrl: Any, moved: Any) -> tuple:
             ends, noise = jax.random.split(key)
-            state, reward, done, info = sample.finish(ends, *given, params)
+            state, reward, done, info = sample.finish(ends, last, action, ctrl, moved, params)
             obs, state = sample.observe(noise, state, params, False)
             return obs, state, reward, done, info["terminated"]
 
