@@ -211,9 +211,9 @@ def test_a_hand_brings_the_cube_to_the_target(env):
     for k in range(150):
         q, ctrl = np.array(state.state.q), np.asarray(state.ctrl)
         (_, p), cube = pose(q), q[9:12]
-        above = np.array([0, 0, 0.1 * np.clip((48 - k) / 18, 0, 1) + 0.004])
+        above = np.array([0, 0, 0.1 * np.clip((48 - k) / 18, 0, 1)])
         goal = cube + above if k < 72 else p + np.clip(target - cube, -0.05, 0.05)
-        sag = np.clip(sag + 0.1 * np.clip(goal - p, -0.01, 0.01), -0.05, 0.05)
+        sag += 0.1 * (goal - p) * (np.linalg.norm(goal - p) < 0.03)
         q[:7] = ctrl[:7]
         (R, p), J = pose(q), np.asarray(jacobian(q))[:, :7]
         turn = 0.25 * sum(np.cross(np.asarray(R)[:, i], facing[:, i]) for i in range(3))
