@@ -69,10 +69,10 @@ def start(key, middle, width, fast):
     return rb.State(q, fast * jax.random.uniform(two, (2,), minval=-1.0))
 
 
-def environment(start, **more):
+def environment(start, episode=EPISODE, **more):
     task = rb.envs.Task(
         "swing_up", model, start, {"policy": (rb.envs.Observation("state", observe),)},
-        (rb.envs.Reward("swing_up", swing_up),), dt=DT, episode=EPISODE,
+        (rb.envs.Reward("swing_up", swing_up),), dt=DT, episode=episode,
         total=lambda terms, dt: sum(terms.values()), **more,
     )  # fmt: skip
     return rb.envs.Environment(task)
@@ -83,18 +83,19 @@ untrained = rb.envs.learning.new_policy(env, jax.random.key(0), (32, 16), std=No
 
 # %% [markdown]
 # A policy is judged from 1,000 starts that it has not seen, all hanging within half a radian. One
-# is solved if the pole is within 0.1 rad of upright during the whole of the last of five seconds,
+# is solved if the pole is within 0.1 rad of upright during the whole of the last of six seconds,
 # and the cart within half a metre of the middle.
 
 # %%
-judge = environment(hanging)
+SECONDS = 6.0
+judge = environment(hanging, round(SECONDS / DT))
 
 
 @jax.jit
 def observations(policy):
     def one(key):
         obs, state = judge.reset(key)
-        return judge.unroll(key, obs, state, policy, EPISODE)[2]["obs"]
+        return judge.unroll(key, obs, state, policy, judge.episode)[2]["obs"]
 
     return jax.vmap(one)(jax.random.split(jax.random.key(1), 1000))
 

@@ -44,10 +44,10 @@ PANDA = {
 }  # fmt: skip
 #: for a core of a CPU: small networks and few samples
 CPU_PPO = {
-    "steps": 1_500_000, "num_envs": 64, "unroll_length": 16, "batch_size": 64,
+    "steps": 600_000, "num_envs": 64, "unroll_length": 16, "batch_size": 64,
     "num_minibatches": 4, "num_updates_per_batch": 16, "discounting": 0.98,
     "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0, "max_grad_norm": 1.0,
-    "reports": 5, "policy_hidden": (32, 32), "value_hidden": (64, 64),
+    "reports": 3, "policy_hidden": (32, 32), "value_hidden": (64, 64),
 }  # fmt: skip
 
 #: SHAC: arguments of `rbjax.envs.learning.shac`; steps = iterations * batch * horizon
