@@ -14,9 +14,9 @@
 # # A policy on a robot that differs from its model
 #
 # A policy that is trained in simulation meets a robot that has more friction, and a motor that acts
-# late. It does badly there. Its own logs are enough to identify friction and delay, by derivatives of
-# the simulation. The policy is then trained further in the corrected simulation, by gradients, from
-# the end of PPO.
+# late. It does badly there. Its own logs are enough to identify friction and delay, by derivatives
+# of the simulation. The policy is then trained further in the corrected simulation, by gradients,
+# from the end of PPO.
 #
 # The "robot" here is a second simulation, whose numbers the training does not know.
 
