@@ -133,7 +133,8 @@ def check_params(name: str, params: Any, due: Any) -> None:
             raise InputError(f"{where}: params.{field} has {names}, expected {expected}")
     found, _ = jax.tree_util.tree_flatten_with_path(params)
     expected_leaves, _ = jax.tree_util.tree_flatten_with_path(due)
-    if jax.tree.structure(params) != jax.tree.structure(due):
+    structures: list[Any] = [jax.tree.structure(x) for x in (params, due)]
+    if structures[0] != structures[1]:
         raise InputError(
             f"{where}: params.model is another robot than that of the task, expected its model "
             "with changed leaves"

@@ -197,8 +197,10 @@ class Environment:
                 kept |= {name: info[name] for name in ("terminated", "truncated")}
                 return (after, state), kept
 
-            (obs, state), found = jax.lax.scan(one, (obs, state), jnp.arange(steps))
-            return obs, state, found
+            end: tuple
+            found: dict[str, Any]
+            end, found = jax.lax.scan(one, (obs, state), jnp.arange(steps))
+            return *end, found
 
         own, params = (_data("unroll", key), obs, state), self._params(params)
         if not self.kernel:
