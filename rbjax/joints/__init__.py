@@ -10,9 +10,9 @@ from rbjax.joints.flexible import (
     CoordinateMotion,
     Flexible,
     FrameKind,
-    FrameMotion,
     LinkInertia,
 )
+from rbjax.joints.frame_motion import FrameMotion, VirtualFrame
 from rbjax.joints.joint import (
     DofKind,
     DofSpec,
@@ -40,6 +40,7 @@ __all__ = [
     "Node",
     "NodeMotion",
     "PosedJoint",
+    "VirtualFrame",
     "hinge_motion",
     "kind",
     "kinds",

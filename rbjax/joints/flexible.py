@@ -25,67 +25,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.joints.joint import Block, DofKind, DofSpec, Joint, JointMotion, NodeMotion, Placed
+from rbjax.joints.frame_motion import FrameMotion, VirtualFrame
+from rbjax.joints.joint import Block, DofKind, DofSpec, Joint, JointMotion, Placed
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, inner, is_zero
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class FrameMotion(NodeMotion):
-    """The motion of a frame of a flexible link, relative to the base frame of the link.
-
-    Fields:
-        axes: S_kj of each coordinate j, in the axes of the frame.
-        own: rigid inertia that moves with the frame, in its axes, about its origin.
-    """
-
-    axes: tuple[Motion, ...]
-    own: RigidInertia
-
-    @classmethod
-    def at_pose(
-        cls,
-        pose: Transform,
-        axes: Sequence[Motion],
-        twist: Motion,
-        bias: Motion,
-        own: RigidInertia | None = None,
-    ) -> FrameMotion:
-        """Create the motion of a frame.
-
-        Args:
-            pose: pose of the frame in the base frame.
-            axes: S_kj, in the axes of the frame.
-            twist: S_k q', in the axes of the frame.
-            bias: classical acceleration [w'; r''] of the frame relative to the base at q'' = 0, in
-                the axes of the frame.
-            own: rigid inertia of the frame; None for none.
-        """
-        zero = Motion.zero()
-        own = RigidInertia.zero() if own is None else own
-        return cls(
-            pose.R, pose.p, zero, twist.ang, 0.0, twist.lin, bias, zero, tuple(axes), own
-        )  # fmt: skip
-
-    @property
-    def frame_axes(self) -> tuple[Motion, ...]:
-        return self.axes
-
-    def inertia(self, dof: Placed) -> RigidInertia:
-        return dof.inertia + self.own
-
-    def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
-        return self.own, self.own(V)
-
-    def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
-        a = Motion.zero()
-        for S, rate in zip(self.axes, block, strict=True):
-            a = a + S * rate
-        return a, ()
-
-    def project(self, f: Force, block: Block) -> tuple[Lane, Block]:
-        return 0.0, tuple(S.dot(f) for S in self.axes)
 
 
 class LinkInertia(NamedTuple):
@@ -196,6 +139,20 @@ class Flexible(Joint):
         v is structurally zero (all literals) if the velocities are not needed.
         """
         return differentiated_frames(self, q, v, params)
+
+    def virtual_frames(
+        self,
+        q: Sequence[Lane],
+        v: Sequence[Lane],
+        a: Sequence[Lane],
+        rates: Sequence[Lane],
+        params: Sequence[Lane],
+    ) -> list[VirtualFrame]:
+        """Compute the motion of each frame along accelerations a and virtual rates.
+
+        Override it if this needs fewer operations than the axes of the frames.
+        """
+        return [VirtualFrame.along(x, a, rates) for x in self.frames(q, v, params)]
 
     def poses(self, q: Sequence[Lane], params: Sequence[Lane]) -> Sequence[Transform]:
         """Return the pose of each frame in the base frame."""
@@ -315,9 +272,17 @@ class FrameKind(DofKind):
     def __init__(self, joint: Flexible):
         self.joint = joint
 
-    def motions(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> Sequence[FrameMotion]:
-        """Compute the motions of all frames of the link, from its coordinates and their rates."""
-        return self.joint.frames(q, v, dof.params[: len(self.joint.defaults)])
+    def motions(
+        self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed, *along: Sequence[Lane]
+    ) -> Sequence[FrameMotion]:
+        """Compute the motions of all frames of the link, from its coordinates and their rates.
+
+        along: nothing, or accelerations and virtual rates for `virtual_frames`.
+        """
+        params = dof.params[: len(self.joint.defaults)]
+        if along:
+            return self.joint.virtual_frames(q, v, *along, params)
+        return self.joint.frames(q, v, params)
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:
         raise NotImplementedError("Flexible.frames computes the motions of all frames of a link")

@@ -95,6 +95,18 @@ class JointMotion:
         """
         return self.S.dot(f), ()
 
+    def virtual(self, rate: Lane, block: Block) -> tuple[Motion, Block]:
+        """Compute the virtual twist of the frame relative to its parent from virtual rates.
+
+        rate: the virtual rate of the dof. block: see `accelerate`.
+        """
+        return self.accelerate(rate, block)
+
+    def virtual_power(self, w: Vec3, a: Motion, V: Motion) -> Lane:
+        """Compute the virtual power of inertial forces that `inertia` and `link_inertia` do not
+        contain, from the angular velocity, acceleration and virtual twist of the parent."""
+        return 0.0
+
     def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
         """Return the inertia that the joint adds to the bodies of the link, and its momentum.
 

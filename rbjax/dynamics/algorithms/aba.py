@@ -15,7 +15,9 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
     da = M^-1 (dtau - dID(q, v, a)),
 
-one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018).
+one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). The
+reverse derivative of RNEA of a tree with flexible links is the gradient of a power
+(virtual_power.py).
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from rbjax.dynamics.algorithms.rnea import (
     NO_FORCE,
     LinkForces,
     add_blocks,
+    forces_at,
     per_link,
     rnea,
     wrenches_to_links,
@@ -297,6 +300,8 @@ def acceleration(
 
     def residual(changed, q, v, tau, a):
         model, f_ext = rebuilt(changed)
+        if model.topology.frames:
+            return tau - forces_at(model, q, v, a, f_ext)
         d = driver(model, q.dtype)
         forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext)
         return tau - d.pack(forces, tau)

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -23,6 +23,16 @@ from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Force, Motion, Transform
+
+#: a map from link index to force, or columns over all links
+LinkForces = Mapping[int, Force] | Force
+
+
+def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
+    """Convert external forces to per-link values."""
+    if isinstance(f_ext, Force):
+        return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
+    return d.scattered(f_ext or {}, Force.zero())
 
 
 class Poses(NamedTuple):

@@ -12,7 +12,6 @@ at its origin. The generalized forces of f_ext are sum J_i^T f_i (Featherstone, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -24,27 +23,19 @@ from rbjax.dynamics.algorithms.kinematics import (
     ROTATION,
     Accelerated,
     Hop,
+    LinkForces,
     accelerated_base,
     over_links,
+    per_link,
     sweep,
 )
+from rbjax.dynamics.algorithms.virtual_power import with_gradient_of_power
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.joints.joint import Block
 from rbjax.lanes import Mat3, Vec3, add, mul
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
-
-#: a map from link index to force, or columns over all links
-LinkForces = Mapping[int, Force] | Force
-
-
-def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
-    """Convert external forces to per-link values."""
-    if isinstance(f_ext, Force):
-        return jax.tree.map(lambda *x: Force.from_lanes(x), *map(d.lanes, f_ext))
-    return d.scattered(f_ext or {}, Force.zero())
-
 
 #: no force and no block: the sum of the messages of no children
 NO_FORCE: tuple[Force, Block] = (Force.zero(), ())
@@ -159,6 +150,11 @@ def _run(
 ) -> jax.Array:
     if not model.nv:
         return jnp.zeros(0, q.dtype)
+    if model.topology.frames and v is not None and a is not None and gravity is None:
+        if wrenches is not None:
+            d = driver(model, q.dtype)
+            f_ext = wrenches_to_links(d, d.joints(q, None), wrenches)
+        return with_gradient_of_power(rnea, model, q, v, a, f_ext)
     d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)

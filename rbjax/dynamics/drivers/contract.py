@@ -40,8 +40,12 @@ class Driver(abc.ABC):
     unroll = 1
 
     @abc.abstractmethod
-    def joints(self, q: jax.Array, v: jax.Array | None) -> PerLink:
-        """Compute the joint motion of each link. v = None means at rest."""
+    def joints(self, q: jax.Array, v: jax.Array | None, *along: jax.Array) -> PerLink:
+        """Compute the joint motion of each link. v = None means at rest.
+
+        along: nothing, or accelerations and virtual rates (nv, ...). Frames of flexible links then
+            are `VirtualFrame`s. Drivers of trees with such links accept them.
+        """
 
     @abc.abstractmethod
     def lanes(self, x: jax.Array | None) -> PerLink:
@@ -101,6 +105,10 @@ class Driver(abc.ABC):
     def literals(self, numbers: list[float]) -> Whole:
         """Convert one compile-time constant per link to a list, or to columns, over all links."""
 
+    def total(self, values: PerLink) -> Lane:
+        """Return the sum of one lane for each link."""
+        raise NotImplementedError(f"{type(self).__name__}.total")
+
     def unzip(self, tuples: PerLink, count: int) -> tuple[PerLink, ...]:
         """Split the tuples of `zip` into `count` per-link values."""
         return tuple(self.part(tuples, k) for k in range(count))
@@ -139,8 +147,13 @@ def dof_motion(
 
 
 def frame_motions(
-    frame: Dof, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
+    frame: Dof,
+    constants: LinkConstants,
+    q: Sequence[Lane],
+    v: Sequence[Lane],
+    *along: Sequence[Lane],
 ) -> Sequence[JointMotion]:
     """Compute the motions of all frames of the flexible link of a frame."""
     assert isinstance(frame.kind, FrameKind)
-    return frame.kind.motions([q[k] for k in frame.q], [v[k] for k in frame.v], constants)
+    rates = ([x[k] for k in frame.v] for x in along)
+    return frame.kind.motions([q[k] for k in frame.q], [v[k] for k in frame.v], constants, *rates)

@@ -23,9 +23,19 @@ import numpy as np
 
 from rbjax.dynamics.drivers import unrolled
 from rbjax.dynamics.drivers.contract import Step, dof_motion, frame_motions
+from rbjax.dynamics.drivers.limb_columns import merge, rows_of, sequential_sincos, widen
 from rbjax.dynamics.drivers.loop import Iteration, JointColumns, Parts, loop
 from rbjax.joints import HINGE, FrameKind, JointMotion, PosedJoint, hinge_motion
-from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, pack, sincos, sub
+from rbjax.lanes import (
+    Lane,
+    add,
+    as_arrays,
+    fusion_barrier,
+    is_literal,
+    pack,
+    sub,
+    total,
+)
 from rbjax.lanes.primitives import whole_cotangent
 from rbjax.model import WORLD, Group, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
@@ -71,10 +81,10 @@ class Limbs(unrolled.ListDriver):
         """Return the rows of a column for some links, or a literal if all rows are the same
         constant."""
         if isinstance(column, np.ndarray):
-            return _merged(*(lane(column, i) for i in links))
-        return _rows(column, links)
+            return merge(*(lane(column, i) for i in links))
+        return rows_of(column, links)
 
-    def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
+    def joints(self, q: jax.Array, v: jax.Array | None, *along: jax.Array) -> Parts:
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         dofs = self.topology.links
         hinges = [i for i, dof in enumerate(dofs) if dof.kind is HINGE]
@@ -82,10 +92,11 @@ class Limbs(unrolled.ListDriver):
         c, s = jnp.zeros((2, 0), q.dtype)
         if hinges:
             reference = self._cast(self._column(self.prepared.columns.reference, hinges))
-            c, s = sequential_sincos(sub(_rows(q, [dofs[i].q[0] for i in hinges]), reference))
+            c, s = sequential_sincos(sub(rows_of(q, [dofs[i].q[0] for i in hinges]), reference))
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
-        rows = functools.lru_cache(None)(lambda of_q, at: _rows(q if of_q else v, at))
+        given: Any = (q, v, *along)
+        rows = functools.lru_cache(None)(lambda k, at: rows_of(given[k], at))
         beams: dict[int, Sequence[JointMotion]] = {}
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
@@ -94,28 +105,32 @@ class Limbs(unrolled.ListDriver):
             if isinstance(dofs[i].kind, FrameKind):
                 start = self.topology.frame_starts[dofs[i].joint]
                 if start not in beams:
-                    beams[start] = frame_motions(dofs[i], constants, qs, vs)
+                    beams[start] = frame_motions(dofs[i], constants, qs, vs, *along)
                 return beams[start][i - start]
             return dof_motion(dofs[i], constants, qs, vs)
 
         def limbs(index: Sequence[int], constants: LinkConstants) -> JointColumns:
             hinge, dof = index[0] in place, dofs[index[0]]
             speeds = zip(*(dofs[i].v for i in index), strict=True)
-            speed = [0.0 if v is None else rows(False, at) for at in speeds]
+            speed = [0.0 if v is None else rows(1, at) for at in speeds]
             if hinge:
-                at = [_rows(x, [place[i] for i in index]) for x in (c, s)]
+                at = [rows_of(x, [place[i] for i in index]) for x in (c, s)]
             else:
-                at = [rows(True, every) for every in zip(*(dofs[i].q for i in index), strict=True)]
-            columns = constants, at, speed
+                at = [rows(0, every) for every in zip(*(dofs[i].q for i in index), strict=True)]
+            more = []
+            if isinstance(dof.kind, FrameKind):
+                every = list(zip(*(dofs[i].v for i in index), strict=True))
+                more = [[rows(2 + k, at) for at in every] for k in range(len(along))]
+            columns = constants, at, speed, more
 
             def posed(lane_of: Callable[[Any], Lane]) -> PosedJoint:
-                constants, at, v = jax.tree.map(lane_of, columns)
+                constants, at, v, more = jax.tree.map(lane_of, columns)
                 if hinge:
                     cosine, sine = at
                     return PosedJoint(hinge_motion(cosine, sine, v[0]), constants)
                 if isinstance(dof.kind, FrameKind):
                     start = self.topology.frame_starts[dof.joint]
-                    frames = shared(lane_of, start, dof.kind, at, v, constants)
+                    frames = shared(lane_of, start, dof.kind, at, v, constants, *more)
                     return PosedJoint(frames[index[0] - start], constants)
                 return PosedJoint(dof.kind.motion(at, v, constants), constants)
 
@@ -123,10 +138,10 @@ class Limbs(unrolled.ListDriver):
 
         made: dict[int, tuple[Any, Sequence[JointMotion]]] = {}
 
-        def shared(lane_of: Any, start: int, kind: FrameKind, at: Any, v: Any, constants: Any):
+        def shared(lane_of: Any, start: int, kind: FrameKind, *given: Any):
             """Compute the frames of a flexible link once for each iteration of a loop."""
             if start not in made or made[start][0] is not lane_of:
-                made[start] = lane_of, kind.motions(at, v, constants)
+                made[start] = lane_of, kind.motions(*given)
             return made[start][1]
 
         out = self._parts(trunk, limbs, self.constants)
@@ -138,13 +153,21 @@ class Limbs(unrolled.ListDriver):
         n = self.topology.nv  # the frames follow
         return self._parts(
             lambda i: x[i] if i < n else 0.0,
-            lambda links: _rows(x, links) if links[0] < n else 0.0,
+            lambda links: rows_of(x, links) if links[0] < n else 0.0,
         )
+
+    def total(self, values: Parts) -> Lane:
+        out = total(values.trunk)
+        for group, positions in zip(self._groups, values.rest, strict=True):
+            for x in positions:
+                literal = is_literal(x)
+                out = add(out, x * len(group.links) if literal else self._cast(x).sum(0))
+        return out
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
         return self._parts(
             lambda i: values.get(i, zero),
-            lambda links: jax.tree.map(_merged, *(values.get(i, zero) for i in links)),
+            lambda links: jax.tree.map(merge, *(values.get(i, zero) for i in links)),
         )
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
@@ -155,7 +178,7 @@ class Limbs(unrolled.ListDriver):
         for group, columns in zip(self._groups, lanes.rest, strict=True):
             shape = (len(group.links), 1, *like.shape[1:])
             own = [x for i, x in zip(group.links[0], columns, strict=True) if i < n]
-            wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in own]
+            wide = [widen(jnp.asarray(x, like.dtype), shape) for x in own]
             block = jnp.concatenate(wide, 1)
             every = [i for limb in group.links for i in limb if i < n]
             block = block.reshape(len(every), *like.shape[1:])
@@ -190,7 +213,7 @@ class Limbs(unrolled.ListDriver):
         for j, x in enumerate(lanes):
             _, own, limb = self._read.get(id(x), (None, None, 0))
             if own is None or own is not column or limb != j:
-                return _merged(*lanes)
+                return merge(*lanes)
         return column
 
     def zip(self, *values: Parts) -> Parts:
@@ -315,7 +338,7 @@ class Limbs(unrolled.ListDriver):
         together = len(set(ports)) == 1
         summed = together and ports[0] != WORLD
         before = [] if carries is None else [root if p == WORLD else carries[p] for p in ports]
-        starts = jax.tree.map(_merged, *before) if before and not together else None
+        starts = jax.tree.map(merge, *before) if before and not together else None
 
         def body(total, given, known):
             x, own = given
@@ -364,37 +387,3 @@ class Limbs(unrolled.ListDriver):
         if isinstance(column, np.ndarray):
             return column.astype(self._like.dtype)
         return column
-
-
-@jax.custom_jvp
-def sequential_sincos(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute cosines and sines in a loop, so that their long program is compiled once."""
-    return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
-
-
-@sequential_sincos.defjvp
-def _sequential_sincos_jvp(primals: tuple, tangents: tuple) -> tuple:
-    c, s = sequential_sincos(*primals)
-    return (c, s), (-s * tangents[0], c * tangents[0])
-
-
-def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Broadcast a column, or a value that all limbs share, to (limbs, 1, ...)."""
-    if column.ndim:
-        column = jnp.expand_dims(column, (1, *range(column.ndim + 1, len(shape))))
-    return jnp.broadcast_to(column, shape)
-
-
-def _rows(x: Any, index: Sequence[int]) -> Any:
-    """Return rows of an array, by a slice if they are evenly spaced."""
-    steps = {b - a for a, b in itertools.pairwise(index)}
-    if len(steps) == 1 and min(steps) > 0:
-        return x[index[0] : index[-1] + 1 : steps.pop()]
-    return x[np.array(index, int)]
-
-
-def _merged(*lanes: Lane) -> Any:
-    """Convert the lanes of the limbs to a column, or to a literal if they are one constant."""
-    if not all(map(is_literal, lanes)):
-        return jnp.stack([jnp.asarray(x) for x in lanes])
-    return lanes[0] if all(x == lanes[0] for x in lanes) else np.array(lanes, float)

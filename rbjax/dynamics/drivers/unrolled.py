@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion, frame_motions
 from rbjax.joints import JointMotion
-from rbjax.lanes import Lane, add, fusion_barrier, is_zero, pack, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, pack, total, unpack
 from rbjax.model import WORLD, Model, Prepared
 
 
@@ -49,16 +49,20 @@ class Unrolled(ListDriver):
             self.prepared = prepared
             self.constants = [prepared.link(i) for i in range(len(model.topology.links))]
 
-    def joints(self, q: jax.Array, v: jax.Array | None) -> list[JointMotion]:
+    def joints(self, q: jax.Array, v: jax.Array | None, *along: jax.Array) -> list[JointMotion]:
         qs, vs, top = unpack(q), self.lanes(v), self.topology
+        rates = list(map(unpack, along))
         out = [dof_motion(dof, self.constants[i], qs, vs) for i, dof in enumerate(top.dofs)]
         for i in top.frame_starts.values():
-            out += frame_motions(top.links[i], self.constants[i], qs, vs)
+            out += frame_motions(top.links[i], self.constants[i], qs, vs, *rates)
         return fusion_barrier(out)
 
     def lanes(self, x: jax.Array | None) -> list[Lane]:
         own = [0.0] * self.topology.nv if x is None else list(unpack(x))
         return own + [0.0] * len(self.topology.frames)
+
+    def total(self, values: list[Lane]) -> Lane:
+        return total(values)
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> list:
         return [values.get(i, zero) for i in range(len(self.topology.links))]

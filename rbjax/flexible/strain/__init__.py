@@ -4,16 +4,18 @@ basis              Legendre polynomials, Gauss points, moments of a cell, integr
 rotation           rotation over a cell: Magnus expansion of order 6, exponential, derivatives
 turning            rotations, their columns and their rates at the nodes of a beam
 beam_kinematics    positions, columns and accelerations at the frames of a beam
+virtual_power      virtual power of a beam's inertial forces
+shape              static configuration of a beam
 beam_joint         `StrainBeam`, a flexible link
 stiffness          stiffness matrix of the coordinates, elastic energy
 """
 
 from rbjax.flexible.strain.beam_joint import (
-    STRAINS,
     StrainBeam,
     largest_cell_angle,
     strain_beam,
 )
+from rbjax.flexible.strain.shape import STRAINS
 from rbjax.flexible.strain.stiffness import elastic_energy, stiffness_matrix
 
 __all__ = [

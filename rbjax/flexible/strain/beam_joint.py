@@ -14,54 +14,19 @@ separately, by a Magnus expansion on SO(3) and by Gauss quadrature, which keeps 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.flexible.strain import basis, beam_kinematics
+from rbjax.flexible.strain import basis, beam_kinematics, virtual_power
+from rbjax.flexible.strain.shape import STRAINS, Shape, checked_degrees, checked_place, is_integer
 from rbjax.flexible.strain.turning import Cells, Coefficients, Orientation
-from rbjax.joints.flexible import Flexible, FrameMotion
+from rbjax.joints.flexible import Flexible, FrameMotion, VirtualFrame
 from rbjax.joints.registry import register
 from rbjax.lanes import Lane, Sym3, Vec3, is_zero, mul, safe_sqrt
 from rbjax.spatial import Motion, RigidInertia, Transform
-
-#: the strains, in the order of the 6 by 6 stiffness of a section
-STRAINS = ("k_x", "k_y", "k_z", "e_x", "g_y", "g_z")
-_MOST = 30  # the largest degree: the basis of more coefficients is better split into several beams
-
-
-class Shape(NamedTuple):
-    """The static configuration of a beam.
-
-    Fields:
-        degrees: (strain, degree) in the order of `STRAINS`.
-        points: the number of Gauss points.
-        places: s / L of further frames.
-        natural: (curvature, degree) of natural curvature and twist.
-        tapered: True if the section varies along the beam.
-        eccentric: True if the mass centre of a section is off the line, or its axes are not
-            principal.
-    """
-
-    degrees: tuple[tuple[str, int], ...]
-    points: int
-    places: tuple[float, ...] = ()
-    natural: tuple[tuple[str, int], ...] = ()
-    tapered: bool = False
-    eccentric: bool = False
-
-    @property
-    def name(self) -> str:
-        """The name of the kind of joint."""
-        parts = [f"{strain}^{degree}" for strain, degree in self.degrees]
-        parts += [f"points={self.points}"]
-        parts += [f"frame={x!r}" for x in self.places]
-        parts += [f"natural_{strain}^{degree}" for strain, degree in self.natural]
-        parts += ["tapered"] * self.tapered + ["eccentric"] * self.eccentric
-        return f"strain_beam({','.join(parts)})"
 
 
 class StrainBeam(Flexible):
@@ -138,13 +103,8 @@ class StrainBeam(Flexible):
     ) -> list[FrameMotion]:
         given = self.named(params)
         (length,) = given["length"]
-        k, strain = self._curvature(q, given), self._split(q)[1]
         moves = not all(map(is_zero, v))
-        turn_rate, rate = self._split(v) if moves else (None, None)
-        if turn_rate:
-            turn_rate = [[mul(length, x) for x in row] for row in turn_rate]
-        sections = self.cells.sections(k, turn_rate)
-        s = beam_kinematics.stretch(sections[: self.tip], self.values, strain, rate, length)
+        sections, s = self._stretched(q, v if moves else None, given)
         turns = beam_kinematics.turning_columns(self.rows, s, sections, length)
         stretches = beam_kinematics.stretching_columns(
             self.rows, self.values, self._stretching, s, sections, length
@@ -159,6 +119,51 @@ class StrainBeam(Flexible):
             out.append(FrameMotion.at_pose(pose, [*turns[g], *stretches[g]], *speeds[g], own[g]))
         return out
 
+    def virtual_frames(
+        self,
+        q: Sequence[Lane],
+        v: Sequence[Lane],
+        a: Sequence[Lane],
+        rates: Sequence[Lane],
+        params: Sequence[Lane],
+    ) -> list[VirtualFrame]:
+        given = self.named(params)
+        (length,) = given["length"]
+        sections, s = self._stretched(q, v, given, (a, rates))
+        along = [
+            beam_kinematics.tangents(s.sections, self.values, self._split(x)[1], length)
+            for x in (a, rates)
+        ]
+        motions = virtual_power.section_motions(self.rows, s, sections, *along)
+        power = virtual_power.BeamPower(motions[: self.tip], self._inertias(given))
+        return [
+            VirtualFrame.in_axes(*x, None if g else power) for g, x in enumerate(motions)
+        ]  # fmt: skip
+
+    def _stretched(
+        self,
+        q: Sequence[Lane],
+        v: Sequence[Lane] | None,
+        given: dict[str, list[Lane]],
+        along: Sequence[Sequence[Lane]] = (),
+    ) -> tuple[list[Orientation], beam_kinematics.Stretched]:
+        """Compute the sections of all frames, and the tangents at the Gauss points.
+
+        v: rates of the coordinates; None if they are not needed. along: accelerations and virtual
+            rates, in place of columns.
+        """
+        (length,) = given["length"]
+        turn_rate, rate = (None, None) if v is None else self._split(v)
+        sections = self.cells.sections(
+            self._curvature(q, given),
+            turn_rate and _scaled(turn_rate, length),
+            along=tuple(_scaled(self._split(x)[0], length) for x in along),
+            columns=not along,
+        )
+        strain = self._split(q)[1]
+        s = beam_kinematics.stretch(sections[: self.tip], self.values, strain, rate, length)
+        return sections, s
+
     def poses(self, q: Sequence[Lane], params: Sequence[Lane]) -> list[Transform]:
         """Compute the pose of each frame in the base frame, as `frames` does.
 
@@ -168,10 +173,9 @@ class StrainBeam(Flexible):
         """
         given = self.named(params)
         (length,) = given["length"]
-        sections = self._sections(q, given)
-        s = beam_kinematics.stretch(
-            sections[: self.tip], self.values, self._split(q)[1], None, length
-        )
+        sections = self.cells.sections(self._curvature(q, given), columns=False)
+        strain = self._split(q)[1]
+        s = beam_kinematics.stretch(sections[: self.tip], self.values, strain, None, length)
         return [beam_kinematics.pose(row, s, x) for row, x in zip(self.rows, sections, strict=True)]
 
     def named(self, params: Sequence[Lane]) -> dict[str, list[Lane]]:
@@ -220,10 +224,7 @@ class StrainBeam(Flexible):
         (length,) = given["length"]
         natural = [given.get(f"natural_{strain}", []) for strain in STRAINS[:3]]
         rows = map(beam_kinematics.added, self._split(q)[0], natural)
-        return [[mul(length, x) for x in row] for row in rows]
-
-    def _sections(self, q: Sequence[Lane], given: dict[str, list[Lane]]) -> list[Orientation]:
-        return self.cells.sections(self._curvature(q, given), columns=False)
+        return _scaled(rows, length)
 
     def _inertias(self, given: dict[str, list[Lane]]) -> list[RigidInertia]:
         """Compute the inertia that each Gauss point carries: weight x length x section."""
@@ -242,6 +243,10 @@ class StrainBeam(Flexible):
             (yz,) = of("product_of_inertia", 1)
             out.append(RigidInertia(m, Vec3(0.0, y, z), Sym3(*J, 0.0, 0.0, yz)))
         return out
+
+
+def _scaled(rows: Iterable[Sequence[Lane]], length: Lane) -> list[list[Lane]]:
+    return [[mul(length, x) for x in row] for row in rows]
 
 
 def strain_beam(
@@ -291,22 +296,22 @@ def strain_beam(
         >>> [round(float(x), 6) for x in quarter.p]
         [0.63662, 0.63662, 0.0]
     """
-    active = _degrees("degrees", degrees, STRAINS)
+    active = checked_degrees("degrees", degrees, STRAINS)
     if not active:
         raise InputError(
             f"strain_beam: degrees is {degrees!r}, a beam without a strain, which is a rigid body; "
             'give at least one, for example {"k_y": 2, "k_z": 2}'
         )
-    curved = _degrees("natural", natural or {}, STRAINS[:3])
+    curved = checked_degrees("natural", natural or {}, STRAINS[:3])
     most = max(degree for _, degree in (*active, *curved)) + 1
     if points is None:
         points = most + 3
-    if not _is_integer(points) or not most <= points <= 100:
+    if not is_integer(points) or not most <= points <= 100:
         raise InputError(
             f"strain_beam: points is {points!r}, expected an integer from {most}, the largest "
             "number of coefficients of a strain, to 100; leave it out for the default"
         )
-    places = tuple(_place(x) for x in frames)
+    places = tuple(checked_place(x) for x in frames)
     return _registered(
         Shape(active, int(points), places, curved, bool(tapered), bool(eccentric))
     )  # fmt: skip
@@ -317,38 +322,6 @@ def _registered(shape: Shape) -> StrainBeam:
     beam = StrainBeam(shape)
     register(beam)
     return beam
-
-
-def _degrees(
-    where: str, given: Mapping[str, int], known: Sequence[str]
-) -> tuple[tuple[str, int], ...]:
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"strain_beam: {where} is {given!r}, expected a mapping from strain to degree, for "
-            f'example {{"{known[-1]}": 2}}'
-        )
-    for name, degree in given.items():
-        if name not in known:
-            raise UnknownName(f"strain in {where}", name, known)
-        if not _is_integer(degree) or not 0 <= degree <= _MOST:
-            raise InputError(
-                f"strain_beam: the degree of {name} in {where} is {degree!r}, expected an integer "
-                f"from 0 to {_MOST}; use several beams in series for more coefficients"
-            )
-    return tuple((name, int(given[name])) for name in known if name in given)
-
-
-def _place(x: float) -> float:
-    if isinstance(x, bool) or not isinstance(x, (int, float)) or not 0 < x <= 1:
-        raise InputError(
-            f"strain_beam: a frame is at s / L = {x!r}, expected a number above 0 and up to 1; the "
-            "base frame is at 0"
-        )
-    return float(x)
-
-
-def _is_integer(x: object) -> bool:
-    return isinstance(x, int) and not isinstance(x, bool)
 
 
 def largest_cell_angle(beam: StrainBeam, q: Sequence[Lane], params: Sequence[Lane]) -> Lane:

@@ -54,21 +54,31 @@ def stretch(
         length: the length of the beam, m.
     """
 
-    def at(P: Sequence[float], coefficients: Coefficients) -> Vec3:
-        return Vec3(*(inner(P[: len(c)], c) for c in coefficients))
-
-    one = Vec3(1.0, 0.0, 0.0)
-    t = [(x.R @ (one + at(P, strain))) * length for x, P in zip(sections, values, strict=True)]
+    t = tangents(sections, values, strain, length, Vec3(1.0, 0.0, 0.0))
     if rate is None:
         return Stretched(fusion_barrier(t), [Vec3.zero()] * len(t), sections)
-    u = [(x.R @ at(P, rate)) * length for x, P in zip(sections, values, strict=True)]
-    t, u = fusion_barrier((t, u))
+    t, u = fusion_barrier((t, tangents(sections, values, rate, length)))
     return Stretched(t, u, sections)
+
+
+def tangents(
+    sections: Sequence[Orientation],
+    values: Rows,
+    coefficients: Coefficients,
+    length: Lane,
+    constant: Vec3 | None = None,
+) -> list[Vec3]:
+    """Compute L R (constant + sum_j P_j c_j) at the Gauss points, without a constant by default."""
+    out = []
+    for x, P in zip(sections, values, strict=True):
+        y = Vec3(*(inner(P[: len(c)], c) for c in coefficients))
+        out.append((x.R @ (y if constant is None else constant + y)) * length)
+    return out
 
 
 def position(weights: Sequence[float], s: Stretched) -> Vec3:
     """Compute r of a frame in the base frame, from its row A of weights."""
-    return _sum(weights, s.t)
+    return weighted_sum(weights, s.t)
 
 
 def turning_columns(
@@ -94,9 +104,9 @@ def turning_columns(
                 lin = Vec3.zero()
                 for k, arm in enumerate(about):
                     weights = [a * w[k] for a, w in zip(row, turns, strict=True)]
-                    lin = lin + _sum(weights, arm)
+                    lin = lin + weighted_sum(weights, arm)
             else:
-                lin = _sum(row, arms)
+                lin = weighted_sum(row, arms)
             E = section.R.T
             columns.append(Motion((E @ section.turn[j]) * length, E @ lin))
     return out
@@ -125,7 +135,7 @@ def stretching_columns(
     for k, j in strains:
         for columns, row, section in zip(out, rows, sections, strict=True):
             weights = [a * P[j] for a, P in zip(row, values, strict=True)]
-            columns.append(Motion(Vec3.zero(), section.R.T @ _sum(weights, axes[k])))
+            columns.append(Motion(Vec3.zero(), section.R.T @ weighted_sum(weights, axes[k])))
     return out
 
 
@@ -143,8 +153,8 @@ def velocities(
     out = []
     for row, section in zip(rows, sections, strict=True):
         E = section.R.T
-        twist = Motion(E @ section.w, E @ _sum(row, v))
-        out.append((twist, Motion(E @ section.alpha, E @ _sum(row, a))))
+        twist = Motion(E @ section.w, E @ weighted_sum(row, v))
+        out.append((twist, Motion(E @ section.alpha, E @ weighted_sum(row, a))))
     return out
 
 
@@ -153,7 +163,8 @@ def pose(weights: Sequence[float], s: Stretched, section: Orientation) -> Transf
     return Transform(section.R, position(weights, s))
 
 
-def _sum(weights: Sequence[float], vectors: Sequence[Vec3]) -> Vec3:
+def weighted_sum(weights: Sequence[float], vectors: Sequence[Vec3]) -> Vec3:
+    """Compute the sum of vectors times weights."""
     out = Vec3.zero()
     for a, x in zip(weights, vectors, strict=True):
         out = out + x * a

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Lane, Mat3, Vec3, add, horner, is_literal, mul, sub
@@ -84,13 +85,28 @@ class Stumpff(NamedTuple):
 
 def stumpff_series(x: Lane) -> Stumpff:
     """Compute c_1 to c_5 of x = angle^2, accurate for angles to 4 rad, smooth everywhere."""
-    x = jnp.asarray(x)
-    terms = 14 if x.dtype == jnp.float64 else 8
-    c4, c5 = (
-        horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x) for k in (4, 5)
-    )
+    c4, c5 = _c4_and_c5(jnp.asarray(x))
     c2, c3 = sub(0.5, mul(x, c4)), sub(1 / 6, mul(x, c5))
     return Stumpff(sub(1.0, mul(x, c3)), c2, c3, c4, c5)
+
+
+def _series(k: int, x: jax.Array) -> Lane:
+    terms = 14 if x.dtype == jnp.float64 else 8
+    return horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x)
+
+
+@jax.custom_jvp
+def _c4_and_c5(x: jax.Array) -> tuple[Lane, Lane]:
+    return _series(4, x), _series(5, x)
+
+
+@_c4_and_c5.defjvp
+def _(primals: tuple, tangents: tuple) -> tuple:
+    """dc_k/dx = (k c_{k+2} - c_{k+1}) / 2: no intermediate value of the series is stored."""
+    (x,), (rate,) = primals, tangents
+    c6, c7 = _series(6, x), _series(7, x)
+    c4, c5 = 1 / 24 - x * c6, 1 / 120 - x * c7
+    return (c4, c5), ((2.0 * c6 - 0.5 * c5) * rate, (2.5 * c7 - 0.5 * c6) * rate)
 
 
 def exponential(angle: Vec3, c: Stumpff) -> Mat3:

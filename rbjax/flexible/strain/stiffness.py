@@ -17,7 +17,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.errors import InputError
-from rbjax.flexible.strain.beam_joint import STRAINS, StrainBeam
+from rbjax.flexible.strain.beam_joint import StrainBeam
+from rbjax.flexible.strain.shape import STRAINS
 from rbjax.lanes import Lane, inner, mul
 from rbjax.lanes import total as sum_of
 

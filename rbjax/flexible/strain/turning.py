@@ -15,11 +15,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.flexible.strain import rotation
 from rbjax.flexible.strain.basis import cell_moments, integrals
-from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier, inner, is_literal, sincos
+from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, fusion_barrier, inner, is_literal, sincos
+from rbjax.lanes.primitives import whole_cotangent
 
 #: coefficients of P_j, for each component of a vector
 Coefficients = Sequence[Sequence[Lane]]
@@ -32,13 +35,15 @@ class Orientation(NamedTuple):
         R: rotation from the axes of the section to those of the base.
         turn: W_j = dw/d(L q_j') of each coordinate of curvature, in base axes.
         w: angular velocity, in base axes.
-        alpha: angular acceleration at q'' = 0, in base axes.
+        alpha: angular acceleration, in base axes; at q'' = 0 unless accelerations are given.
+        virtual: virtual angular velocity, in base axes.
     """
 
     R: Mat3
     turn: tuple[Vec3, ...]
     w: Vec3
     alpha: Vec3
+    virtual: Vec3
 
 
 class Cells:
@@ -68,6 +73,8 @@ class Cells:
         self.starts = (*range(len(nodes)), *before)
         places = [0.0, *nodes.tolist()]
         ends = [*nodes.tolist(), *frames]
+        #: the number of first cells that each start at the end of the cell before
+        self.in_series = next((i for i, x in enumerate(self.starts) if x != i), len(self.starts))
         degree = max(degree, 0)
         self.integrals = [integrals(degree, x).tolist() for x in ends]
         self.moments = [
@@ -81,22 +88,58 @@ class Cells:
         return len(self.components) < 2
 
     def sections(
-        self, k: Coefficients, rate: Coefficients | None = None, *, columns: bool = True
+        self,
+        k: Coefficients,
+        rate: Coefficients | None = None,
+        *,
+        along: Sequence[Coefficients] = (),
+        columns: bool = True,
     ) -> list[Orientation]:
         """Compute the sections at the Gauss points, then at the further frames.
 
         Args:
             k: coefficients of the curvature x, y, z, times the length.
             rate: their time derivatives; None if the velocities are not needed.
+            along: accelerations and virtual rates of the coefficients, with a rate.
             columns: False if W_j are not needed.
         """
         if self.planar:
-            return [self._planar(x, k, rate, columns) for x in self.integrals]
+            return [self._planar(x, k, rate, along, columns) for x in self.integrals]
+        if along and rate:
+            return self._looped(k, rate, along)
         none = Vec3.zero()
         start = tuple(none for _ in self.turning) if columns else ()
-        sections = [Orientation(Mat3.identity(), start, none, none)]
+        sections = [Orientation(Mat3.identity(), start, none, none, none)]
         for at, moments in zip(self.starts, self.moments, strict=True):
-            sections.append(self._next(sections[at], moments, k, rate))
+            sections.append(self._next(sections[at], moments, k, rate, along))
+        return sections[1:]
+
+    def _looped(
+        self, k: Coefficients, rate: Coefficients, along: Sequence[Coefficients]
+    ) -> list[Orientation]:
+        """Compute the sections without columns, by a loop over the cells in series.
+
+        The derivative of the loop computes the values of one cell at a time again, so that they fit
+        into registers.
+        """
+        like = next(x for row in (*k, *rate) for x in row if hasattr(x, "dtype"))
+        none = Vec3.zero()
+        start = as_arrays(Orientation(Mat3.identity(), (), none, none, none), like)
+        table = np.array(self.moments[: self.in_series])
+        used = np.any(table, 0)
+
+        def cell(last: Orientation, row: jax.Array) -> tuple[Orientation, Orientation]:
+            entries = iter([row[i] for i in range(row.shape[0])])
+            moments = [[next(entries) if x else 0.0 for x in line] for line in used]
+            new = as_arrays(self._next(last, moments, k, rate, along), like)
+            return new, new
+
+        rows = jnp.asarray(table[:, used], like.dtype)
+        _, ys = jax.lax.scan(jax.checkpoint(cell, prevent_cse=False), start, rows)
+        ys = jax.tree.map(whole_cotangent, ys)
+        sections = [start, *(jax.tree.map(lambda y, i=i: y[i], ys) for i in range(self.in_series))]
+        further = zip(self.starts[self.in_series :], self.moments[self.in_series :], strict=True)
+        sections += [self._next(sections[i], m, k, rate, along) for i, m in further]
         return sections[1:]
 
     def angles(self, k: Coefficients) -> list[Lane]:
@@ -108,11 +151,16 @@ class Cells:
         return out
 
     def _planar(
-        self, x: list[float], k: Coefficients, rate: Coefficients | None, columns: bool
+        self,
+        x: list[float],
+        k: Coefficients,
+        rate: Coefficients | None,
+        along: Sequence[Coefficients],
+        columns: bool,
     ) -> Orientation:
         none = Vec3.zero()
         if not self.components:
-            return Orientation(Mat3.identity(), (), none, none)
+            return Orientation(Mat3.identity(), (), none, none, none)
         (axis,) = self.components
         angle = _short_inner(x, k[axis])
         if is_literal(angle):
@@ -120,8 +168,9 @@ class Cells:
         else:
             c, s = fusion_barrier(sincos(angle))
         turn = tuple(_along(axis, x[j]) for _, j in self.turning) if columns else ()
-        w = _along(axis, _short_inner(x, rate[axis])) if rate else none
-        return Orientation(rotation.rotation_about(axis, angle, c, s), turn, w, none)
+        rates = (rate, *(along or (None, None)))
+        w, alpha, virtual = (_along(axis, _short_inner(x, y[axis])) if y else none for y in rates)
+        return Orientation(rotation.rotation_about(axis, angle, c, s), turn, w, alpha, virtual)
 
     def _next(
         self,
@@ -129,20 +178,25 @@ class Cells:
         moments: list[list[float]],
         k: Coefficients,
         rate: Coefficients | None,
+        along: Sequence[Coefficients],
     ) -> Orientation:
         m = rotation.magnus(*_vectors(moments, k))
         c = rotation.stumpff_series(m.angle.dot(m.angle))
         R = last.R @ rotation.exponential(m.angle, c)
-        turn, w, alpha = last.turn, last.w, last.alpha
+        turn, w, alpha, virtual = last.turn, last.w, last.alpha, last.virtual
         if turn:
             turn = self._turns(last, moments, m, last.R @ rotation.left_jacobian(m.angle, c))
         if rate:
             r = m.rate(_vectors(moments, rate))
             second = m.second_rate(r)
+            if along:
+                second = second + m.rate(_vectors(moments, along[0])).angle
+                change = m.rate(_vectors(moments, along[1])).angle
+                virtual = virtual + last.R @ rotation.angular_velocity(m.angle, change, c)
             more = last.R @ rotation.angular_velocity(m.angle, r.angle, c)
             own = last.R @ rotation.angular_acceleration(m.angle, r.angle, second, c)
             w, alpha = w + more, alpha + w.cross(more) + own
-        return fusion_barrier(Orientation(R, turn, w, alpha))
+        return fusion_barrier(Orientation(R, turn, w, alpha, virtual))
 
     def _turns(
         self, last: Orientation, moments: list[list[float]], m: rotation.Magnus, J: Mat3
@@ -171,5 +225,5 @@ def _short_inner(constants: Sequence[float], coefficients: Sequence[Lane]) -> La
 
 
 def _vectors(moments: list[list[float]], k: Coefficients) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    b, a1, a2, a3 = (Vec3(*(_short_inner(row, x) for x in k)) for row in moments)
-    return b, a1, a2, a3
+    a1, a2, a3 = (Vec3(*(_short_inner(row, x) for x in k)) for row in moments[1:])
+    return a1 + a3 * (1 / 12), a1, a2, a3
