@@ -2,7 +2,9 @@
 
 beams         `Beam`, which `Model.with_beam` adds to a robot
 distributed_load forces and moments along a beam
+tendons       tendons along a beam
 elasticity    elastic and viscous forces of a beam
+regressor     inertial regressor of trees with beams
 linear_elasticity forces -K q - D q' of any flexible link; a base that moves freely
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
@@ -15,11 +17,15 @@ from rbjax.flexible.beams import Beam, beam
 from rbjax.flexible.cross_section import Section, circle, ellipse, rectangle, section, tube
 from rbjax.flexible.distributed_load import BeamLoad
 from rbjax.flexible.elasticity import BeamElasticity
+from rbjax.flexible.regressor import section_names, section_parameters, section_regressor
+from rbjax.flexible.tendons import BeamPath, BeamTendon
 
 __all__ = [
     "Beam",
     "BeamElasticity",
     "BeamLoad",
+    "BeamPath",
+    "BeamTendon",
     "Section",
     "beam",
     "circle",
@@ -27,5 +33,8 @@ __all__ = [
     "modal",
     "rectangle",
     "section",
+    "section_names",
+    "section_parameters",
+    "section_regressor",
     "tube",
 ]

@@ -66,6 +66,14 @@ def beam_of(
     model: Model, joint: str, dtype: jax.typing.DTypeLike, where: str
 ) -> tuple[StrainBeam, Lane]:
     """Return the kind of joint of a beam and its length. `where` is the caller in messages."""
+    kind, params = beam_params(model, joint, dtype, where)
+    return kind, params["length"][0]
+
+
+def beam_params(
+    model: Model, joint: str, dtype: jax.typing.DTypeLike, where: str
+) -> tuple[StrainBeam, dict[str, list[Lane]]]:
+    """Return the kind of joint of a beam and its parameters by name."""
     j = model.joint(joint)
     kind = model.topology.joints[j]
     if not isinstance(kind, StrainBeam):
@@ -74,9 +82,7 @@ def beam_of(
             "(Model.with_beam)"
         )
     at = sum(len(one.defaults) for one in model.topology.joints[:j])
-    params = numbers(model.joints.params[at : at + len(kind.defaults)], dtype)
-    (length,) = kind.named(params)["length"]
-    return kind, length
+    return kind, kind.named(numbers(model.joints.params[at : at + len(kind.defaults)], dtype))
 
 
 def _nested(C: jax.Array, dtype: jax.typing.DTypeLike) -> Sequence:

@@ -281,7 +281,8 @@ class FrameKind(DofKind):
         """
         params = dof.params[: len(self.joint.defaults)]
         if along:
-            return self.joint.virtual_frames(q, v, *along, params)
+            a, rates = along
+            return self.joint.virtual_frames(q, v, a, rates, params)
         return self.joint.frames(q, v, params)
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], dof: Placed) -> JointMotion:

@@ -94,8 +94,8 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
     if model.topology.frames:
         raise ModelError(
             "inertial_regressor: a link of the model is flexible, and ten inertial parameters do "
-            "not describe its inertia; differentiate inverse_dynamics by the parameters of the "
-            "joint (joints.params) instead"
+            "not describe its inertia; use rbjax.flexible.section_regressor for beams, or "
+            "differentiate inverse_dynamics by the parameters of the joint (joints.params)"
         )
     if not model.nv:
         return jnp.zeros((0, 10 * model.nb), q.dtype)

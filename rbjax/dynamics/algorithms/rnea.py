@@ -23,12 +23,12 @@ from rbjax.dynamics.algorithms.kinematics import (
     ROTATION,
     Accelerated,
     Hop,
-    LinkForces,
     accelerated_base,
     over_links,
-    per_link,
     sweep,
 )
+from rbjax.dynamics.algorithms.kinematics import LinkForces as LinkForces
+from rbjax.dynamics.algorithms.kinematics import per_link as per_link
 from rbjax.dynamics.algorithms.virtual_power import with_gradient_of_power
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm

@@ -94,6 +94,7 @@ class Limbs(unrolled.ListDriver):
             reference = self._cast(self._column(self.prepared.columns.reference, hinges))
             c, s = sequential_sincos(sub(rows_of(q, [dofs[i].q[0] for i in hinges]), reference))
         qs: Any = q
+        rates: Any = along
         vs: Any = [0.0] * self.topology.nv if v is None else v
         given: Any = (q, v, *along)
         rows = functools.lru_cache(None)(lambda k, at: rows_of(given[k], at))
@@ -105,7 +106,7 @@ class Limbs(unrolled.ListDriver):
             if isinstance(dofs[i].kind, FrameKind):
                 start = self.topology.frame_starts[dofs[i].joint]
                 if start not in beams:
-                    beams[start] = frame_motions(dofs[i], constants, qs, vs, *along)
+                    beams[start] = frame_motions(dofs[i], constants, qs, vs, *rates)
                 return beams[start][i - start]
             return dof_motion(dofs[i], constants, qs, vs)
 

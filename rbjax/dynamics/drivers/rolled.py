@@ -71,7 +71,7 @@ class Rolled(Driver):
         target = np.where(parents == WORLD, -2, source)
         self._index = np.stack([source, keep, target], 1).astype(np.int32)[self.head :]
 
-    def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
+    def joints(self, q: jax.Array, v: jax.Array | None, *along: jax.Array) -> Parts:
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v

@@ -36,7 +36,8 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import ModalBody, array_module
-from rbjax.joints.flexible import Flexible, FrameMotion, LinkInertia
+from rbjax.joints.flexible import Flexible, LinkInertia
+from rbjax.joints.frame_motion import FrameMotion
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, inner, is_zero, mul, sub
 from rbjax.rotations.coefficients import stumpff
 from rbjax.spatial import Force, Motion, RigidInertia, Transform

@@ -23,10 +23,14 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.flexible.strain import basis, beam_kinematics, virtual_power
 from rbjax.flexible.strain.shape import STRAINS, Shape, checked_degrees, checked_place, is_integer
 from rbjax.flexible.strain.turning import Cells, Coefficients, Orientation
-from rbjax.joints.flexible import Flexible, FrameMotion, VirtualFrame
+from rbjax.joints.flexible import Flexible
+from rbjax.joints.frame_motion import FrameMotion, VirtualFrame
 from rbjax.joints.registry import register
-from rbjax.lanes import Lane, Sym3, Vec3, is_zero, mul, safe_sqrt
+from rbjax.lanes import Lane, Sym3, Vec3, inner, is_zero, mul, safe_sqrt
 from rbjax.spatial import Motion, RigidInertia, Transform
+
+#: the parameters of a section in which its inertia is linear
+_INERTIAL = ("mass_per_length", "rotary_inertia", "first_moment", "product_of_inertia")
 
 
 class StrainBeam(Flexible):
@@ -178,6 +182,19 @@ class StrainBeam(Flexible):
         s = beam_kinematics.stretch(sections[: self.tip], self.values, strain, None, length)
         return [beam_kinematics.pose(row, s, x) for row, x in zip(self.rows, sections, strict=True)]
 
+    def strain(
+        self, q: Sequence[Lane], given: Mapping[str, Sequence[Lane]], P: Sequence[float]
+    ) -> tuple[Vec3, Vec3]:
+        """Compute the curvature and Gamma, with natural curvature, where P_j have the values P.
+
+        given: the parameters by name (`named`).
+        """
+        curvature, gamma = self._split(q)
+        natural = [given.get(f"natural_{strain}", []) for strain in STRAINS[:3]]
+        rows = [*map(beam_kinematics.added, curvature, natural), *gamma]
+        x = [inner(P[: len(row)], row) for row in rows]
+        return Vec3(*x[:3]), Vec3(1.0, 0.0, 0.0) + Vec3(*x[3:])
+
     def named(self, params: Sequence[Lane]) -> dict[str, list[Lane]]:
         """Split the flat parameters by name."""
         out, at = {}, 0
@@ -186,6 +203,27 @@ class StrainBeam(Flexible):
             out[name] = list(params[at : at + n])
             at += n
         return out
+
+    @property
+    def section_params(self) -> tuple[tuple[str, int], ...]:
+        """(name, index) of the parameters in which the inertia is linear."""
+        return tuple(
+            (name, k)
+            for name, default in self.params.items()
+            if name in _INERTIAL and isinstance(default, tuple)
+            for k in range(len(default))
+        )
+
+    def unit_inertias(
+        self, given: Mapping[str, Sequence[Lane]], name: str, k: int
+    ) -> list[RigidInertia]:
+        """Compute the inertia at each Gauss point for a unit of one of `section_params`.
+
+        given: the parameters by name (`named`).
+        """
+        values = {key: [0.0] * len(x) if key in _INERTIAL else list(x) for key, x in given.items()}
+        values[name][k] = 1.0
+        return self._inertias(values)
 
     def values_of(self, **changes: Sequence[Lane] | Lane) -> list[Lane]:
         """Return the flat parameters: the defaults with changes.

@@ -26,6 +26,8 @@ from rbjax.lanes.primitives import whole_cotangent
 
 #: coefficients of P_j, for each component of a vector
 Coefficients = Sequence[Sequence[Lane]]
+#: the moments of a cell (`basis.cell_moments`), row by row
+Rows = Sequence[Sequence[Lane]]
 
 
 class Orientation(NamedTuple):
@@ -175,7 +177,7 @@ class Cells:
     def _next(
         self,
         last: Orientation,
-        moments: list[list[float]],
+        moments: Rows,
         k: Coefficients,
         rate: Coefficients | None,
         along: Sequence[Coefficients],
@@ -199,7 +201,7 @@ class Cells:
         return fusion_barrier(Orientation(R, turn, w, alpha, virtual))
 
     def _turns(
-        self, last: Orientation, moments: list[list[float]], m: rotation.Magnus, J: Mat3
+        self, last: Orientation, moments: Rows, m: rotation.Magnus, J: Mat3
     ) -> tuple[Vec3, ...]:
         """Compute W_j at the end of a cell: dO/dq_j is linear in the moments of P_j."""
         none = Vec3.zero()
@@ -220,10 +222,10 @@ def _along(axis: int, x: Lane) -> Vec3:
     return Vec3(*(x if i == axis else 0.0 for i in range(3)))
 
 
-def _short_inner(constants: Sequence[float], coefficients: Sequence[Lane]) -> Lane:
+def _short_inner(constants: Sequence[Lane], coefficients: Sequence[Lane]) -> Lane:
     return inner(constants[: len(coefficients)], coefficients)
 
 
-def _vectors(moments: list[list[float]], k: Coefficients) -> tuple[Vec3, Vec3, Vec3, Vec3]:
+def _vectors(moments: Rows, k: Coefficients) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     a1, a2, a3 = (Vec3(*(_short_inner(row, x) for x in k)) for row in moments[1:])
     return a1 + a3 * (1 / 12), a1, a2, a3
