@@ -283,7 +283,7 @@ function draw(scene) {
     for (const name of groups) {
       const [start, count] = who.mesh.groups[name];
       const copies = name === "world" || name === "glass" ? 1 : who.poses.samples;
-      if (name === "robot") gl.enable(gl.CULL_FACE);  // closed and opaque
+      if (name === "robot" && film.crowd && who.first) gl.enable(gl.CULL_FACE);  // closed hulls
       if (count) gl.drawElementsInstanced(gl.TRIANGLES, count, gl.UNSIGNED_INT, start, copies);
       gl.disable(gl.CULL_FACE);
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -18,6 +19,8 @@ from rbjax.model.geoms import Geoms
 Array = np.ndarray
 #: the largest number of points of a mesh that is drawn without reduction
 _MOST_POINTS = 400
+#: the largest number of triangles of a mesh that viewers draw without reduction
+_MOST_TRIANGLES = 4000
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Solid:
         are in the frame of `body`.
     triangles: (m, 3), indices of points, of a surface that is not convex, such as terrain; None for
         the convex hull of the points.
+    mesh: vertices (n, 3) and triangles (m, 3) of a mesh, for viewers that draw triangles; the
+        points are then on its convex hull.
     """
 
     points: Array
@@ -40,6 +45,7 @@ class Solid:
     alpha: float
     end: int | None = None
     triangles: Array | None = None
+    mesh: tuple[Array, Array] | None = None
 
     def placed(self, R: Array, p: Array) -> Array:
         """Compute the points (..., n, 3) in the world, at the bodies' R (..., nb, 3, 3) and p (...,
@@ -67,7 +73,8 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
         floating_base: as in `rbjax.load`, for a URDF.
 
     Returns:
-        One `Solid` for each geom. A mesh becomes its convex hull, a height field its surface.
+        One `Solid` for each geom. A mesh becomes its convex hull, with the mesh itself for viewers,
+        reduced to a few thousand triangles. A height field becomes its surface.
 
     Raises:
         ModelError: the source is not a robot file.
@@ -80,12 +87,13 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     if isinstance(source, Model):
         return [] if source.geoms is None else _of_model(source.geoms)
     m = compile_model(source, floating_base=floating_base)
-    k = m.geom_dataid
-    hulls = {
-        int(i): _outermost(m.mesh_vert[m.mesh_vertadr[k[i]] :][: m.mesh_vertnum[k[i]]])
+    meshes = {
+        int(i): _mesh(m, int(m.geom_dataid[i]))
         for i in np.flatnonzero(m.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))
+        if m.geom_group[i] <= 2
     }
-    return _of_geoms(geoms_of(m, np.asarray), hulls)
+    hulls = {i: _outermost(vertices) for i, (vertices, _) in meshes.items()}
+    return _of_geoms(geoms_of(m, np.asarray), hulls, meshes)
 
 
 def _of_model(geoms: Geoms) -> list[Solid]:
@@ -98,8 +106,13 @@ def _of_model(geoms: Geoms) -> list[Solid]:
     return found + [s for s in _of_geoms(shown, hulls) if s.body in bare]
 
 
-def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array]) -> list[Solid]:
-    """Make the solids of geoms. hulls: geom index -> points of a mesh; other meshes are omitted."""
+def _of_geoms(
+    geoms: Geoms,
+    hulls: Mapping[int, Array],
+    meshes: Mapping[int, tuple[Array, Array]] = MappingProxyType({}),
+) -> list[Solid]:
+    """Make the solids of geoms. hulls: geom index -> points of a mesh; other meshes are omitted.
+    meshes: geom index -> vertices and triangles."""
     out = []
     for i, (kind, body) in enumerate(zip(geoms.types, geoms.bodies, strict=True)):
         points: Array | None
@@ -114,9 +127,33 @@ def _of_geoms(geoms: Geoms, hulls: Mapping[int, Array]) -> list[Solid]:
             continue
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, np.asarray(geoms.orientation[i], np.float64))
-        placed = points @ R.reshape(3, 3).T + np.asarray(geoms.position[i])
-        out.append(Solid(placed, body, (color[0], color[1], color[2]), alpha, None, triangles))
+        turn, place = R.reshape(3, 3).T, np.asarray(geoms.position[i])
+        mesh = None
+        if i in meshes:
+            vertices, faces = meshes[i]
+            mesh = vertices @ turn + place, faces
+        own = points @ turn + place, body, (color[0], color[1], color[2]), alpha
+        out.append(Solid(*own, triangles=triangles, mesh=mesh))
     return out
+
+
+def _mesh(m: mujoco.MjModel, k: int) -> tuple[Array, Array]:
+    """Return vertices (n, 3) and triangles (m, 3) of a mesh. If there are many, vertices in one
+    cell of a grid are merged."""
+    vertices = m.mesh_vert[m.mesh_vertadr[k] :][: m.mesh_vertnum[k]].astype(float)
+    faces = m.mesh_face[m.mesh_faceadr[k] :][: m.mesh_facenum[k]].astype(int)
+    cell = np.ptp(vertices, axis=0).max() / 100
+    fewer, kept = vertices, faces
+    while len(kept) > _MOST_TRIANGLES:
+        at = np.floor((vertices - vertices.min(0)) / cell)
+        _, own, count = np.unique(at, axis=0, return_inverse=True, return_counts=True)
+        own = own.ravel()
+        fewer = np.stack([np.bincount(own, x) for x in vertices.T], -1) / count[:, None]
+        kept = own[faces]
+        whole = (kept != np.roll(kept, 1, axis=1)).all(1)
+        kept = np.unique(kept[whole], axis=0)
+        cell *= 1.25
+    return fewer, kept
 
 
 def _terrain(heights: Array, x: float, y: float) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ boxes are sharp. Vertices on an edge are repeated, once for each normal.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from dataclasses import dataclass
 
@@ -43,11 +44,14 @@ def surface(solid: Solid, R: Array, p: Array, *, coarse: bool = False) -> Surfac
     """Make the surface of a solid; None if it is flat.
 
     Args:
-        solid: a convex solid, or a segment between two bodies.
+        solid: a solid with its mesh if it has one, or a segment between two bodies.
         R: (n, 3, 3), rotations of the bodies in a posture in which the solid is convex.
         p: (n, 3), their positions, m.
         coarse: whether to keep only about 26 points, for crowds.
     """
+    if solid.mesh is not None and not coarse:
+        vertices, faces = solid.mesh
+        solid = dataclasses.replace(solid, points=vertices, triangles=faces, mesh=None)
     placed = solid.placed(R, p)
     kept = np.arange(len(placed))
     if solid.triangles is not None:

@@ -109,3 +109,43 @@ def test_hidden_geoms_stand_in_for_meshes() -> None:
       </worldbody></mujoco>"""
     assert [s.body for s in solids(xml)] == [1]
     assert sorted(s.body for s in solids(rb.load(xml))) == [0, 1]
+
+
+def corner(n: int) -> tuple[np.ndarray, list[tuple[int, ...]]]:
+    """A prism of height 1 over a corner of three unit squares, n squares to a unit."""
+    grid = [(i, j) for i in range(2 * n) for j in range(2 * n) if i < n or j < n]
+    inside, faces, at = {*grid}, [], {}
+
+    def vertex(*x: int) -> int:
+        return at.setdefault(x, len(at))
+
+    for i, j in grid:
+        for k in (0, n):
+            around = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
+            quad = [vertex(*x, k) for x in around][:: 1 if k else -1]
+            faces += [(quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])]
+        for (di, dj), (a, b) in {
+            (-1, 0): ((0, 1), (0, 0)), (1, 0): ((1, 0), (1, 1)),
+            (0, -1): ((0, 0), (1, 0)), (0, 1): ((1, 1), (0, 1)),
+        }.items():  # fmt: skip
+            if (i + di, j + dj) not in inside:
+                for k in range(n):
+                    low, high = (vertex(i + a[0], j + a[1], k + x) for x in (0, 1))
+                    low2, high2 = (vertex(i + b[0], j + b[1], k + x) for x in (0, 1))
+                    faces += [(low, low2, high2), (low, high2, high)]
+    return np.array([*at], float) / n, faces
+
+
+@pytest.mark.parametrize(("n", "tolerance"), [(1, 1e-6), (24, 0.05)])
+def test_a_mesh_is_not_its_hull(n: int, tolerance: float) -> None:
+    """The volume of the prism is 3, of its hull 3.5; with many triangles, vertices are merged."""
+    points, faces = corner(n)
+    numbers = " ".join(f"{x:g}" for x in points.ravel()), " ".join(str(k) for f in faces for k in f)
+    xml = f"""<mujoco><asset><mesh name="m" vertex="{numbers[0]}" face="{numbers[1]}"/></asset>
+      <worldbody><body><joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+    (solid,) = solids(xml)
+    fine, hull = surface(solid, R, P), surface(solid, R, P, coarse=True)
+    assert fine is not None and hull is not None
+    assert len(fine.triangles) == len(faces) if n == 1 else len(fine.triangles) <= 4000 < len(faces)
+    assert volume(fine) == pytest.approx(3.0, rel=tolerance)
+    assert 1.05 * 3.0 < volume(hull) < 3.5 + 1e-6
