@@ -10,13 +10,16 @@ All tasks run if none is given. Parts:
     rollout  `rb.rollout` of the same robots from the same states with the same controls, without
              anything of the task
 "share" is the rate of a part over that of the rollout. "M/s" counts control steps; "physics M/s"
-counts steps of the integrator. It writes results/gpu-environments-<device>. f32.
+counts steps of the integrator. "lower_s" and "compile_s" of "step" are those of a first call;
+"kept" has the same kernel, which is not compiled again. The timed steps begin where as many steps
+have led the robots from their resets. It writes results/gpu-environments-<device>. f32.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -32,7 +35,6 @@ from benchmarks.shared.timing import markdown_table, others, save
 PARTS = ("step", "kept", "unroll", "rollout")
 COLUMNS = ("task", "what", "batch", "observation", "decimation", "lower_s", "compile_s", "run_s")
 COLUMNS += ("M/s median", "M/s", "physics M/s", "share", "note")
-WARM_UP = 50  # control steps before the timed ones, so that the robots are where the task has them
 
 
 def make(text: str) -> rb.envs.Environment:
@@ -66,6 +68,15 @@ def scanned(env: rb.envs.Environment, keep: Callable) -> Callable:
     return steps
 
 
+def compiled(f: Callable, *args: Any) -> tuple[Any, dict[str, float]]:
+    """The compiled program, and the seconds of tracing and compiling."""
+    start = time.perf_counter()
+    lowered = jax.jit(f).lower(*args)
+    middle = time.perf_counter()
+    program = lowered.compile()
+    return program, {"lower_s": middle - start, "compile_s": time.perf_counter() - middle}
+
+
 def few(kept: dict[str, Any]) -> Any:
     return kept["reward"], kept["done"]
 
@@ -78,12 +89,12 @@ def bench(text: str, batch: int, steps: int, parts: tuple[str, ...]) -> list[dic
     env = make(text)
     task = env.task
     data = jax.random.split(jax.random.key(0), 5)
-    keys = jax.random.split(data[0], (WARM_UP + steps, batch))
-    actions = random_actions(env, data[1], (WARM_UP + steps, batch))
+    keys = jax.random.split(data[0], (2, steps, batch))
+    actions = random_actions(env, data[1], (2, steps, batch))
     obs, state = jax.jit(jax.vmap(env.reset))(jax.random.split(data[2], batch))
-    begin = jax.jit(scanned(env, lambda kept: kept["done"].mean()))
-    (obs, state), _ = begin(obs, state, keys[:WARM_UP], actions[:WARM_UP])
-    keys, actions = keys[WARM_UP:], actions[WARM_UP:]
+    begin, times = compiled(scanned(env, few), obs, state, keys[0], actions[0])
+    (obs, state), _ = begin(obs, state, keys[0], actions[0])
+    keys, actions = keys[1], actions[1]
     recorded = jax.jit(scanned(env, lambda kept: (kept["ctrl"], kept["done"])))
     _, (ctrl, done) = recorded(obs, state, keys, actions)
     ctrl = jnp.moveaxis(ctrl, 0, 1)  # (batch, steps, nu); after a reset that of the new episode
@@ -118,6 +129,7 @@ def bench(text: str, batch: int, steps: int, parts: tuple[str, ...]) -> list[dic
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             row = timed(row, f, *given, work=batch * steps)
+        row |= times if part == "step" else {}
         if "M/s" in row:
             row["physics M/s"] = row["M/s"] * task.decimation
         rows.append(row)

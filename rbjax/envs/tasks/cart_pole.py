@@ -80,12 +80,10 @@ def _task(name: str, start: Callable[[jax.Array, Params], State], sparse: bool) 
 
 
 def _near_the_top(key: jax.Array, params: Params) -> State:
-    position, angle, velocity = jax.random.split(key, 3)
-    q = [
-        jax.random.uniform(position, minval=-0.1, maxval=0.1),
-        jax.random.uniform(angle, minval=-0.034, maxval=0.034),
-    ]
-    return State(jnp.stack(q), 0.01 * jax.random.normal(velocity, (2,)))
+    pose, velocity = jax.random.split(key)
+    most = jnp.array([0.1, 0.034])  # m, rad
+    q = jax.random.uniform(pose, (2,), minval=-most, maxval=most)
+    return State(q, 0.01 * jax.random.normal(velocity, (2,)))
 
 
 def _hanging(key: jax.Array, params: Params) -> State:
