@@ -31,13 +31,13 @@ def strain_coordinates(n: int) -> Case:
 def constant_strain(n: int) -> Case:
     """n segments of constant curvature."""
     own = {"bending": (1.0, 1.0), "mass": 1.0, "inertia": (2e-4, 1e-4, 1e-4), "planar": True}
-    return rf.constant_strain_beam(1.0, n, **own), f"segment{n}", 0.0  # type: ignore[arg-type]
+    return rf.constant_strain_beam(rf.UniformBeam(1.0, n, **own)), f"segment{n}", 0.0  # type: ignore[arg-type]
 
 
 def rigid_links(n: int) -> Case:
     """n rigid links with springs."""
     own = {"bending": (1.0, 1.0), "mass": 1.0, "inertia": (2e-4, 1e-4, 1e-4), "planar": True}
-    return rf.lumped_beam(1.0, n, **own), f"link{n}", 1.0 / n  # type: ignore[arg-type]
+    return rf.lumped_beam(rf.UniformBeam(1.0, n, **own)), f"link{n}", 1.0 / n  # type: ignore[arg-type]
 
 
 def own_beams() -> list[Entry]:

@@ -159,7 +159,7 @@ class BeamTendon(Element):
         >>> model = rb.load("<mujoco/>").with_beam("rod", rod)
         >>> tendon = rb.flexible.BeamTendon.of(model, "rod", [0.1, 0.0], tension=30.0)
         >>> tau = rb.applied_forces(model.with_forces(tendon), model.default_state())
-        >>> tau.round(12).tolist()  # T d L on the mean curvature: k = T d / EI = 0.5
+        >>> (tau.round(12) + 0.0).tolist()  # T d L on the mean curvature: k = T d / EI = 0.5
         [6.0, 0.0]
     """
 

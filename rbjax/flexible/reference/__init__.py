@@ -1,6 +1,7 @@
 """Beams of the literature, as references for the strain-coordinate beam.
 
 Beams as ordinary models of rbjax:
+uniform_beam.py: UniformBeam, the properties of these beams.
 lumped_chain.py: rigid links with springs in the joints between them.
 piecewise_constant_strain.py: segments of constant curvature, with masses lumped at their ends.
 
@@ -29,8 +30,10 @@ from rbjax.flexible.reference.piecewise_constant_strain import (
 from rbjax.flexible.reference.reissner import Reissner
 from rbjax.flexible.reference.scenes import cantilever, flying_beam, spin_up_angle, spin_up_beam
 from rbjax.flexible.reference.statics import Equilibria, solve_static
+from rbjax.flexible.reference.uniform_beam import UniformBeam
 
 __all__ = [
+    "UniformBeam",
     # beams as models
     "StrainSprings",
     "constant_strain_beam",

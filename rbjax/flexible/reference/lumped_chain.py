@@ -16,67 +16,42 @@ Multibody Systems: Rigid Finite Element Method*, Springer 2006.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
-from rbjax.dynamics.arguments import check_array
-from rbjax.errors import InputError
+from rbjax.flexible.reference.uniform_beam import UniformBeam
 from rbjax.forces import Cable
 from rbjax.loading.builder import ModelBuilder
 from rbjax.model import Model
 
 
-def lumped_beam(
-    length: float,
-    segments: int,
-    *,
-    bending: Sequence[float],
-    torsion: float = 0.0,
-    mass: float,
-    inertia: Sequence[float],
-    planar: bool = False,
-    gravity: Sequence[float] = (0.0, 0.0, 0.0),
-) -> Model:
+def lumped_beam(beam: UniformBeam) -> Model:
     """Make a clamped beam along x of rigid links with springs, as a robot of hinges or balls.
 
     The error of static deflections and of frequencies falls as 1 / segments^2.
 
     Args:
-        length: m.
-        segments: the number n of links.
-        bending: E I_y, E I_z, N m^2.
-        torsion: G J, N m^2; not used in the plane.
-        mass: kg/m.
-        inertia: rotary inertia per length about x, y, z, kg m, above zero.
-        planar: hinges about z, n coordinates, instead of balls with 3 n.
-        gravity: m/s^2.
+        beam: the properties of the beam, with a link for each segment. A planar beam has hinges
+            about z, otherwise balls.
 
     Returns:
         A model with the bodies and joints "link1" ... and the site "tip". The springs are
         `model.joints.stiffness` in the plane and an `rb.forces.Cable` in space.
 
-    Raises:
-        InputError: values that are not above zero, or of another shape.
-
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.flexible.reference.lumped_chain import lumped_beam
-        >>> model = lumped_beam(
+        >>> from rbjax.flexible.reference import UniformBeam, lumped_beam
+        >>> beam = UniformBeam(
         ...     1.0, 4, bending=(1.0, 1.0), torsion=0.8, mass=1.0, inertia=(2e-4, 1e-4, 1e-4)
         ... )
+        >>> model = lumped_beam(beam)
         >>> model.nv, round(float(model.bodies.mass.sum()), 6)
         (12, 1.0)
     """
-    where = "lumped_beam"
-    n = check_beam(where, length, segments, bending, torsion, mass, inertia, planar)
-    h = length / n
+    n, h, mass = beam.segments, beam.segment_length, beam.mass
     rod = mass * h**3 / 12
-    moments = np.array(inertia, float) * h + [0.0, rod, rod]
-    builder = ModelBuilder(gravity=gravity)
+    moments = np.array(beam.inertia, float) * h + [0.0, rod, rod]
+    builder = ModelBuilder(gravity=beam.gravity)
     parent: str | None = None
     for k in range(n):
         name = f"link{k + 1}"
@@ -84,17 +59,18 @@ def lumped_beam(
         builder.add_body(
             name, parent, position=at, mass=mass * h, com=(h / 2, 0, 0), inertia=moments
         )
-        if planar:
-            builder.add_joint(name, name, stiffness=float(bending[1]) / h * (1 if k else 2))
+        if beam.planar:
+            (stiffness,) = beam.spring_constants
+            builder.add_joint(name, name, stiffness=float(stiffness) / h * (1 if k else 2))
         else:
             builder.add_joint(name, name, "ball")
         parent = name
     builder.add_site("tip", parent, position=(h, 0, 0))
     model = builder.build()
-    if planar:
+    if beam.planar:
         return model
     dtype = model.gravity.dtype
-    rows = np.tile([torsion, *map(float, bending)], (n, 1))
+    rows = np.tile(beam.spring_constants, (n, 1))
     lengths = np.full(n, h)
     lengths[0] = h / 2
     one = jnp.ones((), dtype)
@@ -103,19 +79,3 @@ def lumped_beam(
         model.joint_names,
     )  # fmt: skip
     return model.with_forces(springs)
-
-
-def check_beam(
-    where: str, length: Any, segments: Any, bending: Any, torsion: Any, mass: Any, inertia: Any,
-    planar: bool,
-) -> int:  # fmt: skip
-    """Check the values of a uniform beam, and return the number of segments."""
-    n = integer(where, "segments", segments, least=1)
-    given = {"length": length, "mass": mass} | ({} if planar else {"torsion": torsion})
-    for name, value in given.items():
-        if not check_array(where, name, value, ()) > 0:
-            raise InputError(f"{where}: {name} is {value}, expected a value above zero")
-    for name, value, size in (("bending", bending, 2), ("inertia", inertia, 3)):
-        if not (check_array(where, name, value, (size,)) > 0).all():
-            raise InputError(f"{where}: {name} is {value}, expected {size} values above zero")
-    return n

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import joints
-from rbjax.flexible.reference.lumped_chain import check_beam
+from rbjax.flexible.reference.uniform_beam import UniformBeam
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.slopes import Slope
@@ -113,63 +113,40 @@ class StrainSprings(Element):
         return out
 
 
-def constant_strain_beam(
-    length: float,
-    segments: int,
-    *,
-    bending: Sequence[float],
-    torsion: float = 0.0,
-    mass: float,
-    inertia: Sequence[float],
-    planar: bool = False,
-    gravity: Sequence[float] = (0.0, 0.0, 0.0),
-) -> Model:
+def constant_strain_beam(beam: UniformBeam) -> Model:
     """Make a clamped beam along x of segments of constant curvature, as a robot of nodes.
 
     The error of static deflections and of frequencies falls as 1 / segments^2.
 
     Args:
-        length: m.
-        segments: the number n of segments.
-        bending: E I_y, E I_z, N m^2.
-        torsion: G J, N m^2; not used in the plane.
-        mass: kg/m.
-        inertia: rotary inertia per length about x, y, z, kg m, above zero.
-        planar: n coordinates, bending about z, instead of 3 n.
-        gravity: m/s^2.
+        beam: the properties of the beam.
 
     Returns:
         A model with the bodies and joints "segment1" ..., each body at the end of its segment, and
         the site "tip". The springs are `StrainSprings`.
 
-    Raises:
-        InputError: values that are not above zero, or of another shape.
-
     Example:
-        >>> from rbjax.flexible.reference.piecewise_constant_strain import (
-        ...     constant_strain_beam,
-        ... )
-        >>> model = constant_strain_beam(
+        >>> from rbjax.flexible.reference import UniformBeam, constant_strain_beam
+        >>> beam = UniformBeam(
         ...     1.0, 4, bending=(1.0, 1.0), torsion=0.8, mass=1.0, inertia=(2e-4, 1e-4, 1e-4)
         ... )
+        >>> model = constant_strain_beam(beam)
         >>> model.nv, model.topology.joint_kinds[0]
         (12, 'constant_strain')
     """
-    where = "constant_strain_beam"
-    n = check_beam(where, length, segments, bending, torsion, mass, inertia, planar)
-    h = length / n
-    builder = ModelBuilder(gravity=gravity)
+    n, h = beam.segments, beam.segment_length
+    builder = ModelBuilder(gravity=beam.gravity)
     names = [f"segment{k + 1}" for k in range(n)]
     for k, name in enumerate(names):
         share = h if k < n - 1 else h / 2
-        moments = np.array(inertia, float) * share
-        builder.add_body(name, names[k - 1] if k else None, mass=mass * share, inertia=moments)
+        moments = np.array(beam.inertia, float) * share
+        mass = beam.mass * share
+        builder.add_body(name, names[k - 1] if k else None, mass=mass, inertia=moments)
         builder.add_joint(name, name)
     builder.add_site("tip", names[-1])
     model = builder.build()
-    kind = ConstantCurvature.name if planar else ConstantStrain.name
+    kind = ConstantCurvature.name if beam.planar else ConstantStrain.name
     for name in names:
         model = model.with_joint(name, kind, length=h)
-    row = [bending[1]] if planar else [torsion, *bending]
-    stiffness = jnp.asarray(np.tile(np.array(row, float) / h, (n, 1)), model.gravity.dtype)
-    return model.with_forces(StrainSprings(stiffness, tuple(names)))
+    rows = np.tile(beam.spring_constants / h, (n, 1))
+    return model.with_forces(StrainSprings(jnp.asarray(rows, model.gravity.dtype), tuple(names)))
