@@ -6,6 +6,7 @@ gradient passes through the end of an episode.
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -49,9 +50,15 @@ def draw_samples(env: Any, key: jax.Array, batch: int, params: Any) -> Samples:
 
 
 def move_samples(
-    env: Any, policy: Any, samples: Samples, key: jax.Array, steps: int, params: Any
+    env: Any,
+    policy: Any,
+    samples: Samples,
+    key: jax.Array,
+    steps: int,
+    params: Any,
+    slope_limit: float | None = None,
 ) -> tuple[Samples, Path]:
-    """Advance a batch under a policy."""
+    """Advance a batch under a policy. slope_limit: of `limit_slope`, in each step."""
     batch = samples.whole.shape[0]
     once = jax.vmap(env.step_once, (0, 0, 0, None))
     first, key = jax.random.split(key)
@@ -62,7 +69,7 @@ def move_samples(
     def move(now: Samples, key: jax.Array) -> tuple[Samples, Path]:
         one, two = jax.random.split(key)
         action = jax.vmap(policy)(now.obs, jax.random.split(one, batch))
-        state, action = finite_slope((now.state, action))
+        state, action = limit_slope((now.state, action), slope_limit)
         seen, state, reward, done, info = once(jax.random.split(two, batch), state, action, params)
         failed = info["failed"]
         finished = done & now.whole & ~failed
@@ -89,22 +96,32 @@ def figures_of(path: Path, parts: int) -> dict[str, jax.Array]:
     }
 
 
-@jax.custom_vjp
-def finite_slope(x: Any) -> Any:
-    """Return x, a batch. In the gradient, samples that are not finite become zero."""
+@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
+def limit_slope(x: Any, limit: float | None) -> Any:
+    """Return x, a batch. In the gradient, samples that are not finite become zero, and the gradient
+    of each sample is scaled to a norm of at most limit / B."""
     return x
 
 
-def _backward(_: None, slope: Any) -> tuple[Any]:
+def _backward(limit: float | None, _: None, slope: Any) -> tuple[Any]:
     numbers = [s for s in jax.tree.leaves(slope) if jnp.issubdtype(s.dtype, jnp.inexact)]
-    good = jnp.stack([jnp.isfinite(s).reshape(s.shape[0], -1).all(1) for s in numbers]).all(0)
-    return (jax.tree.map(
-        lambda s: _pick(good, s, jnp.zeros_like(s)) if jnp.issubdtype(s.dtype, jnp.inexact) else s,
-        slope,
-    ),)  # fmt: skip
+    flat = jnp.concatenate([s.reshape(s.shape[0], -1) for s in numbers], 1)
+    good = jnp.isfinite(flat).all(1)
+    factor = jnp.ones_like(flat[:, 0])
+    if limit is not None:
+        norm = jnp.linalg.norm(jnp.where(good[:, None], flat, 0.0), axis=1)
+        factor = jnp.minimum(1.0, limit / len(flat) / jnp.maximum(norm, 1e-30))
+
+    def limited(s: jax.Array) -> jax.Array:
+        if not jnp.issubdtype(s.dtype, jnp.inexact):
+            return s
+        scaled = s * factor.reshape(-1, *[1] * (s.ndim - 1))
+        return _pick(good, scaled, jnp.zeros_like(s))
+
+    return (jax.tree.map(limited, slope),)
 
 
-finite_slope.defvjp(lambda x: (x, None), _backward)
+limit_slope.defvjp(lambda x, limit: (x, None), _backward)
 
 
 def _pick(condition: jax.Array, a: Any, b: Any) -> Any:

@@ -61,6 +61,7 @@ def shac(
     critic_steps: int = 8,
     slow: float = 0.2,
     warm_up: int = 0,
+    slope_limit: float | None = None,
     hidden: tuple[int, ...] = (64, 64),
     std: float | None = 0.4,
     optimiser: Any = None,
@@ -90,6 +91,10 @@ def shac(
         slow: the update of V' in an iteration is V' + slow (V - V').
         warm_up: iterations at the beginning that update the value function only. Use it if the
             policy is already trained.
+        slope_limit: limit of the norm of the gradient of a sample with respect to its state and
+            action, in each step of the horizon, relative to an equal share of the objective; None
+            for none. Use 0.1 or less for legged robots: a few samples with hard impacts have
+            gradients that are many times those of the others.
         hidden: sizes of the hidden layers of a new policy and a new critic.
         std: noise of a new policy, the standard deviation before tanh; None for no noise.
         optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients
@@ -126,8 +131,9 @@ def shac(
     integer(where, "reports", reports, least=1)
     for name, x in (("discount", discount), ("trace", trace), ("slow", slow)):
         real_number(where, name, x, least=0.0, most=1.0)
-    for name, x in (("rate", rate), ("critic_rate", critic_rate)):
-        real_number(where, name, x, above=0.0)
+    for name, x in (("rate", rate), ("critic_rate", critic_rate), ("slope_limit", slope_limit)):
+        if x is not None:
+            real_number(where, name, x, above=0.0)
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
@@ -152,8 +158,9 @@ def shac(
         numbers, rest = split_policy(acting)
 
         def loss(numbers: Any) -> tuple:
+            acting = eqx.combine(numbers, rest)
             samples, path = move_samples(
-                env, eqx.combine(numbers, rest), now.samples, own_key(other), horizon, params_at(k)
+                env, acting, now.samples, own_key(other), horizon, params_at(k), slope_limit
             )
             values = jax.vmap(jax.vmap(behind))(path.seen)
             J = objective(path.rewards, values, path.done, path.ended, discount)

@@ -60,13 +60,21 @@ CART_POLE_SHAC = {
     "hidden": (32, 16),
 }  # fmt: skip
 
+#: impacts of feet have large gradients
+LEGS_SHAC = {
+    "steps": 20_000_000, "batch": 512, "horizon": 24, "rate": 3e-3, "discount": 0.985, "std": 0.2,
+    "slope_limit": 0.1,
+}  # fmt: skip
+
 TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
     "cart_pole_balance": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
     "cart_pole_swing_up": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
-    "go1_joystick_flat": {"ppo": GO1},
-    "go1_joystick_rough": {"ppo": GO1},
-    "g1_joystick": {"ppo": G1},
+    "go1_joystick_flat": {"ppo": GO1, "shac": LEGS_SHAC},
+    "go1_joystick_rough": {"ppo": GO1, "shac": LEGS_SHAC},
+    "g1_joystick": {"ppo": G1, "shac": LEGS_SHAC},
     "panda_pick_cube": {"ppo": PANDA},
+    **{f"hopper_{name}": {"shac": LEGS_SHAC} for name in ("stand", "hop")},
+    **{f"walker_{name}": {"shac": LEGS_SHAC} for name in ("stand", "walk", "run")},
 }
 
 
