@@ -241,11 +241,11 @@ def _even(length: float) -> float:
 
 
 def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
-    """Return the geoms of a file, or a skeleton if there is no file or no geom in it.
+    """Return the geoms of a file, else of the model, or a skeleton without a file and geoms.
 
     The flexible links are those of the model.
     """
-    found = [] if source is None else solids(source, floating_base=floating_base)
+    found = [] if source is None else solids(source, floating_base=floating_base) or solids(model)
     if source is not None and not found:
         warnings.warn(
             "no shapes of the source are drawn (visuals and meshes of a URDF are not read): the "

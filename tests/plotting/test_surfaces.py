@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.plotting.drawing import shapes_of
 from rbjax.plotting.solid_shapes import Solid, capsule, cylinder, solids, sphere
 from rbjax.plotting.surfaces import Surface, surface
 
@@ -149,3 +152,16 @@ def test_a_mesh_is_not_its_hull(n: int, tolerance: float) -> None:
     assert len(fine.triangles) == len(faces) if n == 1 else len(fine.triangles) <= 4000 < len(faces)
     assert volume(fine) == pytest.approx(3.0, rel=tolerance)
     assert 1.05 * 3.0 < volume(hull) < 3.5 + 1e-6
+
+
+def test_a_urdf_is_drawn_by_its_collision_shapes() -> None:
+    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
+      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>
+      <box size="0.1 0.2 0.3"/></geometry></collision></link><joint name="j" type="revolute">
+      <parent link="base"/><child link="arm"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
+      </joint></robot>"""
+    with warnings.catch_warnings(action="ignore"):
+        model = rb.load(urdf)
+    with warnings.catch_warnings(action="error"):
+        (box,) = shapes_of(model, urdf)
+    np.testing.assert_allclose(np.ptp(box.points, axis=0), [0.1, 0.2, 0.3])
