@@ -177,7 +177,7 @@ mesh = beam_mesh(np.linspace([0.0, 0, 0], [L, 0, 0], 21), section)
 ends = [Interface("root", [0]), Interface("tip", [20])]
 for stiffening in (True, False):
     body = craig_bampton(mesh, ends, 8, frame="root", keep=6, stiffening=stiffening)
-    planar = np.flatnonzero(np.abs(np.asarray(body.moment1)).argmax(0) == 1)[:2]
+    planar = np.flatnonzero(np.abs(np.asarray(body.first_moment1)).argmax(0) == 1)[:2]
     body = body.with_modes(planar)
     print(fast_rotation(body, [0.0, 0.0, 6.0]).status)
     name = "modal body" if stiffening else "modal body, no stiffening"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import rbjax as rb
@@ -30,6 +31,26 @@ def cable(length: float = 2.0, count: int = 10, dtype: Any = None) -> rb.Model:
         model = model.with_beam(f"cable{k}", part, parent)
         parent = f"cable{k}"
     return model if dtype is None else model.astype(dtype)
+
+
+def flying_beam(EI: float, count: int, degrees: dict[str, int]) -> rb.Model:
+    """The flying beam of Simo and Vu-Quoc: from (0, 8) m to its loaded end at (6, 0) m, free in the
+    plane, as beams in series. It has a length of 10 m, and 1 kg/m."""
+    beam = rb.flexible.beam(
+        10.0 / count, [0, 0, EI, 1e4, 1e4, 0], degrees, mass=1.0, inertia=[10.0, 0, 10.0]
+    )
+    model = rb.load('<mujoco><option gravity="0 0 0"/></mujoco>')
+    model = model.with_link("base", rb.joints.kind("planar"), position=[0, 8.0, 0])
+    half = math.atan2(-8.0, 6.0) / 2
+    parent, turn = "base", [math.cos(half), 0, 0, math.sin(half)]
+    for i in range(count):
+        model = model.with_beam(f"rod{i}", beam, parent, orientation=turn)
+        parent, turn = f"rod{i}", [1.0, 0, 0, 0]
+    return model
+
+
+#: the moment of -80 N m about z and the force of 8 N along x at the end of `flying_beam`, for 2.5 s
+FLYING_LOAD = (0.0, 0.0, -80.0, 8.0, 0.0, 0.0)
 
 
 #: name -> robot, of 8 coordinates in one beam and of 52 in 13 beams or more

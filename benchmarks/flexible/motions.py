@@ -7,7 +7,6 @@ so its steps are those of the implicit variational midpoint rule.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import jax
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from benchmarks.cases.beams import FLYING_LOAD, flying_beam
 from benchmarks.flexible.beam_scenes import FLYING_TIMES, SPIN_TIMES, Prepared
 
 HEAVY = 1e12  # armature, kg m^2, of a hub whose motion the beam does not change
@@ -26,18 +26,8 @@ HUB = f"""<mujoco><option gravity="0 0 0"/><worldbody>
 def fly(n: int) -> Prepared:
     """The flying beam in n / 8 links of eight coordinates, with a step of 0.16 / n s."""
     links, dt = max(n // 8, 1), 0.16 / n
-    beam = rb.flexible.beam(
-        10.0 / links, [0, 0, 500.0, 1e4, 1e4, 0], {"k_z": 2, "e_x": 1, "g_y": 2},
-        mass=1.0, inertia=[10.0, 0, 10.0],
-    )  # fmt: skip
-    model = rb.load('<mujoco><option gravity="0 0 0"/></mujoco>')
-    model = model.with_link("base", rb.joints.kind("planar"), position=[0, 8.0, 0])
-    half = math.atan2(-8.0, 6.0) / 2
-    parent, turn = "base", [math.cos(half), 0, 0, math.sin(half)]
-    for i in range(links):
-        model = model.with_beam(f"rod{i}", beam, parent, orientation=turn)
-        parent, turn = f"rod{i}", [1.0, 0, 0, 0]
-    load = jnp.zeros((model.nb, 6)).at[-1].set(jnp.array([0, 0, -80.0, 8.0, 0, 0]))
+    model = flying_beam(500.0, links, {"k_z": 2, "e_x": 1, "g_y": 2})
+    load = jnp.zeros((model.nb, 6)).at[-1].set(jnp.array(FLYING_LOAD))
     every = round(0.5 / dt)
 
     @jax.jit

@@ -58,13 +58,13 @@ class Beam(Record):
 
     def params(self, joint: StrainBeam) -> jax.Array:
         """Return the parameters (n,) of the kind of joint."""
-        own = self.section
+        section = self.section
         values = {
             "length": self.length,
-            "mass_per_length": own.mass,
-            "rotary_inertia": own.inertia,
-            "first_moment": own.first_moment,
-            "product_of_inertia": own.product,
+            "mass_per_length": section.mass,
+            "rotary_inertia": section.inertia,
+            "first_moment": section.first_moment,
+            "product_of_inertia": section.product,
             **{f"natural_{name}": x for name, x in self.natural.items()},
         }
         return jnp.concatenate([jnp.ravel(values[name]) for name in joint.params])
@@ -215,15 +215,15 @@ def beam(
     C = given.stiffness
     root = jnp.sqrt(jnp.broadcast_to(ratio, (6,)))
     viscosity = C * root[:, None] * root
-    own = {"k_x": 2, "k_y": 2, "k_z": 2} if degrees is None else degrees
-    for key, mapping in (("degrees", own), ("natural", natural or {})):
+    strains = {"k_x": 2, "k_y": 2, "k_z": 2} if degrees is None else degrees
+    for key, mapping in (("degrees", strains), ("natural", natural or {})):
         if not isinstance(mapping, Mapping):
             raise InputError(
                 f"beam: {key} is {type(mapping).__name__}, expected a mapping from strain to "
                 f"{'degree' if key == 'degrees' else 'Legendre coefficients'}"
             )
     curved = {name: _coefficients(name, x) for name, x in (natural or {}).items()}
-    out = Beam(length, given, viscosity, curved, tuple(own.items()), points)
+    out = Beam(length, given, viscosity, curved, tuple(strains.items()), points)
     joint = out.joint()  # checks the strains
     _check_stiffness(C, joint)
     params = out.params(joint)

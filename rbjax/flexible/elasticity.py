@@ -56,10 +56,10 @@ class BeamElasticity(LinearElasticity):
     def matrices(self, context: Context) -> tuple[str, Matrix, Matrix]:
         kind, length = beam_of(context.model, self.joint, context.q.dtype, "BeamElasticity")
 
-        def made(C: jax.Array) -> Matrix:
+        def matrix(C: jax.Array) -> Matrix:
             return stiffness_matrix(kind, _nested(C, context.q.dtype), length)
 
-        return self.joint, made(self.stiffness), made(self.viscosity)
+        return self.joint, matrix(self.stiffness), matrix(self.viscosity)
 
 
 def beam_of(

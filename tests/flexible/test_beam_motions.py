@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.beams import FLYING_LOAD, flying_beam
 from tests.oracles import load
 
 ORACLES = load("beams")
@@ -67,24 +68,9 @@ def test_spin_up() -> None:
     assert abs(u[160:, 0].mean() - steady) < 1e-6
 
 
-def flying(EI: float, beams: int, degrees: dict[str, int]) -> rb.Model:
-    """A beam from (0, 8) to (6, 0) on a planar joint, as several beams in series."""
-    beam = rb.flexible.beam(
-        10.0 / beams, [0, 0, EI, 1e4, 1e4, 0], degrees, mass=1.0, inertia=[10.0, 0, 10.0]
-    )
-    model = rb.load('<mujoco><option gravity="0 0 0"/></mujoco>')
-    model = model.with_link("base", rb.joints.kind("planar"), position=[0, 8.0, 0])
-    half = np.arctan2(-8.0, 6.0) / 2
-    parent, turn = "base", [np.cos(half), 0, 0, np.sin(half)]
-    for i in range(beams):
-        model = model.with_beam(f"rod{i}", beam, parent, orientation=turn)
-        parent, turn = f"rod{i}", [1.0, 0, 0, 0]
-    return model
-
-
 def flight(model: rb.Model, h: float, steps: int, save_every: int, **given):
     """Load the tip for 2.5 s by a force of 8 N and a moment of -80 N m, then fly freely."""
-    wrenches = jnp.zeros((model.nb, 6)).at[-1].set(jnp.array([0, 0, -80.0, 8.0, 0, 0]))
+    wrenches = jnp.zeros((model.nb, 6)).at[-1].set(jnp.array(FLYING_LOAD))
     n = round(2.5 / h)
     loaded = rb.rollout(
         model, model.default_state(), None, h, wrenches=wrenches, steps=n,
@@ -105,7 +91,7 @@ def test_flying_beam(EI: float, tolerance: float) -> None:
     second power of the length of a beam: 32 beams have 4e-4 to 6e-4.
     """
     h = 1.25e-3
-    model = flying(EI, 16, {"k_z": 2, "e_x": 1, "g_y": 2})
+    model = flying_beam(EI, 16, {"k_z": 2, "e_x": 1, "g_y": 2})
     loaded, free = flight(model, h, round(5 / h), round(0.5 / h), integrator="dop853")
     q = jnp.concatenate([loaded.q, free.q[1:]])
     tips = compiled(jax.vmap(lambda q: rb.frame_pose(model, q, model.body_names[-1])[1]))(q)
@@ -117,7 +103,7 @@ def test_flying_beam(EI: float, tolerance: float) -> None:
 @pytest.mark.slow
 def test_invariants_of_free_flight() -> None:
     """Energy and momenta over 100,000 steps of the variational midpoint rule."""
-    model = flying(500.0, 1, {"k_z": 3, "e_x": 1, "g_y": 1})
+    model = flying_beam(500.0, 1, {"k_z": 3, "e_x": 1, "g_y": 1})
     _, path = flight(model, 1e-4, 100_000, 1000, integrator="variational_midpoint")
     K = -jax.jacfwd(lambda q: rb.applied_forces(model, rb.State(q, 0 * q)))(path.q[0])
 

@@ -125,14 +125,14 @@ def columns_of_frame(
 
 def add_columns(own: LinkInertia, columns: Sequence[Column]) -> tuple[Column, ...]:
     """Add the inertia of a flexible link to the sum of the columns of its frames."""
-    made = tuple(
+    of_link = tuple(
         Column(C, tuple(row[: j + 1]))
         for j, (C, row) in enumerate(zip(own.coupling, own.mass, strict=True))
     )
     if not columns:
-        return made
+        return of_link
     return tuple(
-        Column(a.C + b.C, tuple(map(add, a.m, b.m))) for a, b in zip(made, columns, strict=True)
+        Column(a.C + b.C, tuple(map(add, a.m, b.m))) for a, b in zip(of_link, columns, strict=True)
     )
 
 

@@ -41,13 +41,13 @@ class ModalBody(Record):
 
     Fields:
         mass: mass, kg.
-        moment: h0 (3,), kg m.
-        moment1: h1 (3, m).
-        moment2: h2 (3, m, m), symmetric in the modes.
+        first_moment: h0 (3,), kg m.
+        first_moment1: h1 (3, m).
+        first_moment2: h2 (3, m, m), symmetric in the modes.
         inertia: J0 (3, 3), kg m^2.
         inertia1: J1 (m, 3, 3).
         inertia2: J2 (m, m, 3, 3), symmetric in the modes.
-        rotation_stiffness: G (m, m, 3, 3), symmetric in the modes.
+        centrifugal_stiffness: G (m, m, 3, 3), symmetric in the modes.
         coupling: c0 (3, m).
         coupling1: c1 (3, m, m); entry (a, j, k) is the derivative of c_j by q_k.
         modal_mass: M (m, m).
@@ -77,13 +77,13 @@ class ModalBody(Record):
     """
 
     mass: jax.Array = eqx.field(converter=floats)
-    moment: jax.Array = eqx.field(converter=floats)
-    moment1: jax.Array = eqx.field(converter=floats)
-    moment2: jax.Array = eqx.field(converter=floats)
+    first_moment: jax.Array = eqx.field(converter=floats)
+    first_moment1: jax.Array = eqx.field(converter=floats)
+    first_moment2: jax.Array = eqx.field(converter=floats)
     inertia: jax.Array = eqx.field(converter=floats)
     inertia1: jax.Array = eqx.field(converter=floats)
     inertia2: jax.Array = eqx.field(converter=floats)
-    rotation_stiffness: jax.Array = eqx.field(converter=floats)
+    centrifugal_stiffness: jax.Array = eqx.field(converter=floats)
     coupling: jax.Array = eqx.field(converter=floats)
     coupling1: jax.Array = eqx.field(converter=floats)
     modal_mass: jax.Array = eqx.field(converter=floats)
@@ -220,12 +220,12 @@ class ModalBody(Record):
 
         With `second_order` it includes all terms of the displacements of second order.
         """
-        h1, h2, c1, J2 = self.moment1, self.moment2 @ q, self.coupling1, self.inertia2
+        h1, h2, c1, J2 = self.first_moment1, self.first_moment2 @ q, self.coupling1, self.inertia2
         if second_order:
-            l, h = h1 + h2, self.moment + (h1 + h2 / 2) @ q
-            J2 = J2 - self.rotation_stiffness
+            l, h = h1 + h2, self.first_moment + (h1 + h2 / 2) @ q
+            J2 = J2 - self.centrifugal_stiffness
         else:
-            l, h, c1 = h1, self.moment + h1 @ q, (c1 - c1.swapaxes(1, 2)) / 2
+            l, h, c1 = h1, self.first_moment + h1 @ q, (c1 - c1.swapaxes(1, 2)) / 2
         J = self.inertia + jnp.tensordot(q, self.inertia1 + jnp.tensordot(q, J2, 1), 1)
         rigid = w @ J @ w + 2 * jnp.cross(w, h) @ v + self.mass * (v @ v)
         coupled = w @ (self.coupling + c1 @ q) + v @ l
@@ -235,11 +235,11 @@ class ModalBody(Record):
 FRAME_FIELDS = ("positions", "orientations", "modes", "rotation_modes", "second_modes")
 #: the axes of each field that count modes
 MODE_AXES = {
-    "moment1": (1,),
-    "moment2": (1, 2),
+    "first_moment1": (1,),
+    "first_moment2": (1, 2),
     "inertia1": (0,),
     "inertia2": (0, 1),
-    "rotation_stiffness": (0, 1),
+    "centrifugal_stiffness": (0, 1),
     "coupling": (1,),
     "coupling1": (1, 2),
     "modal_mass": (0, 1),
@@ -260,13 +260,13 @@ def shapes(m: int, P: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of a `ModalBody` of m modes and P frames."""
     return {
         "mass": (),
-        "moment": (3,),
-        "moment1": (3, m),
-        "moment2": (3, m, m),
+        "first_moment": (3,),
+        "first_moment1": (3, m),
+        "first_moment2": (3, m, m),
         "inertia": (3, 3),
         "inertia1": (m, 3, 3),
         "inertia2": (m, m, 3, 3),
-        "rotation_stiffness": (m, m, 3, 3),
+        "centrifugal_stiffness": (m, m, 3, 3),
         "coupling": (3, m),
         "coupling1": (3, m, m),
         "modal_mass": (m, m),

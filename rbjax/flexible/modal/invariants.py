@@ -176,7 +176,7 @@ def from_points(
         >>> from rbjax.flexible.modal import from_points
         >>> shape = np.zeros((2, 3, 1)); shape[1, 2, 0] = 1.0
         >>> body = from_points([1.0, 2.0], [[0, 0, 0], [3, 0, 0]], shape, frames=[1])
-        >>> body.moment1[:, 0].tolist(), body.frame_names
+        >>> body.first_moment1[:, 0].tolist(), body.frame_names
         ([0.0, 0.0, 2.0], ('1',))
     """
     U = _array("modes", modes, (None, 3, None))
@@ -217,8 +217,8 @@ def second_order(masses: Any, places: np.ndarray, A: np.ndarray) -> dict[str, np
     S = (places.T @ weighted).reshape(3, *A.shape[1:])  # sum f_a A_b
     J = _minus_double_cross(S.transpose(2, 3, 0, 1))
     return {
-        "moment2": weighted.sum(0).reshape(A.shape[1:]),
-        "rotation_stiffness": -(J + J.swapaxes(-1, -2)) / 2,
+        "first_moment2": weighted.sum(0).reshape(A.shape[1:]),
+        "centrifugal_stiffness": -(J + J.swapaxes(-1, -2)) / 2,
         "coupling1": _cross(S),
     }
 
@@ -239,7 +239,8 @@ def modal_body(
         stiffness: K (m, m); None for zero.
         damping: D (m, m); None for zero.
         frames: (positions, orientations, modes, rotation modes, second modes or None, names).
-        second: moment2, rotation_stiffness and the part of coupling1 of second-order displacements.
+        second: first_moment2, centrifugal_stiffness and the part of coupling1 of second-order
+            displacements.
         mode_names: m names; None for "mode 1", "mode 2", ...
     """
     m = len(found.I6)
@@ -255,13 +256,13 @@ def modal_body(
     J2 = (J2 + J2.swapaxes(-1, -2)) / 2
     given |= dict(
         mass=found.I1,
-        moment=found.I2,
-        moment1=found.I3,
-        moment2=second.get("moment2", np.zeros(none["moment2"])),
+        first_moment=found.I2,
+        first_moment1=found.I3,
+        first_moment2=second.get("first_moment2", np.zeros(none["first_moment2"])),
         inertia=found.I7,
         inertia1=found.I8 + found.I8.swapaxes(-1, -2) + found.turned_inertia,
         inertia2=J2,
-        rotation_stiffness=second.get("rotation_stiffness", np.zeros(none["inertia2"])),
+        centrifugal_stiffness=second.get("centrifugal_stiffness", np.zeros(none["inertia2"])),
         coupling=found.I4,
         # (I5_k)_j is the derivative of c_j by q_k
         coupling1=found.I5.transpose(1, 2, 0)

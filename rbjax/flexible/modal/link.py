@@ -46,16 +46,16 @@ from rbjax.spatial import Force, Motion, RigidInertia, Transform
 UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 FIELDS = (
     "mass",
-    "moment",
-    "moment1",
-    "moment2",
+    "first_moment",
+    "first_moment1",
+    "first_moment2",
     "inertia",
     "inertia1",
     "inertia2",
-    "rotation_stiffness",
+    "centrifugal_stiffness",
     "coupling",
     "gyroscopic",
-    "turning",
+    "symmetric_coupling",
     "modal_mass",
     "positions",
     "orientations",
@@ -74,7 +74,7 @@ class ModalLayout:
         frames: number of frames.
         entries: field of `ModalBody` and index of each parameter. All other entries are structural
             zeros. Symmetric fields have one entry for each pair. `coupling1` is the sum of its
-            antisymmetric part "gyroscopic" and its symmetric part "turning".
+            antisymmetric part "gyroscopic" and its symmetric part "symmetric_coupling".
         unrotated: indices of the frames whose orientation is structurally the identity.
         second_order: True if the kinetic energy has all terms of displacements of second order. It
             is then exact for tests, but not positive definite for large deformations.
@@ -102,7 +102,7 @@ class ModalLayout:
         arrays = _arrays(body)
         for name in FIELDS:
             x = np.abs(np.asarray(arrays[name]))
-            own = body.coupling1 if name in ("gyroscopic", "turning") else x
+            own = body.coupling1 if name in ("gyroscopic", "symmetric_coupling") else x
             least = tolerance * np.abs(np.asarray(own)).max(initial=0.0)
             for index in np.argwhere((x > least) | (name == "mass")):
                 at = tuple(map(int, index))
@@ -188,14 +188,16 @@ class ModalLink(Flexible):
         none, zero = Vec3.zero(), Sym3.zero()
 
         # changes of l and J along q, and the stiffness of rotation
-        bend = [_sum(none, (read.vector("moment2", j, k) * q[k] for k in every)) for j in every]
+        bend = [
+            _sum(none, (read.vector("first_moment2", j, k) * q[k] for k in every)) for j in every
+        ]
         curve, spun = (
             [_sum(zero, (read.symmetric(name, j, k) * q[k] for k in every)) for j in every]
-            for name in ("inertia2", "rotation_stiffness")
+            for name in ("inertia2", "centrifugal_stiffness")
         )
         full = self.layout.second_order
-        h, J, turned = read.vector("moment"), read.symmetric("inertia"), []
-        h1 = [read.vector("moment1", j) for j in every]
+        h, J, turned = read.vector("first_moment"), read.symmetric("inertia"), []
+        h1 = [read.vector("first_moment1", j) for j in every]
         l = [a + b for a, b in zip(h1, bend, strict=True)]
         for j in every:
             J1, J2 = read.symmetric("inertia1", j), curve[j] - spun[j] if full else curve[j]
@@ -208,7 +210,7 @@ class ModalLink(Flexible):
 
         # c1_jk = g_jk + s_jk, with g_kj = -g_jk and s_kj = s_jk
         g = {pair: read.vector("gyroscopic", *pair) for pair in pairs}
-        s = [[read.vector("turning", j, k) for k in every] for j in every]
+        s = [[read.vector("symmetric_coupling", j, k) for k in every] for j in every]
         plain = [read.vector("coupling", j) for j in every]
         for (j, k), x in g.items():
             plain[j], plain[k] = plain[j] + x * q[k], plain[k] - x * q[j]
@@ -224,7 +226,7 @@ class ModalLink(Flexible):
             forces[k] = sub(forces[k], mul(spin, v[j]))
         for j, k in [*pairs, *((j, j) for j in every)] if full else ():
             rate = mul(1.0 if j == k else 2.0, mul(v[j], v[k]))
-            ang, lin = ang + s[j][k] * rate, lin + read.vector("moment2", j, k) * rate
+            ang, lin = ang + s[j][k] * rate, lin + read.vector("first_moment2", j, k) * rate
         return LinkInertia(
             RigidInertia(read("mass"), h, J),
             tuple(Force(a, b) for a, b in zip(c, l, strict=True)),
@@ -269,7 +271,7 @@ def _arrays(body: ModalBody) -> dict[str, Any]:
     out = {name: getattr(body, name) for name in FIELDS if hasattr(body, name)}
     flipped = body.coupling1.swapaxes(1, 2)
     out["gyroscopic"] = (body.coupling1 - flipped) / 2
-    out["turning"] = (body.coupling1 + flipped) / 2
+    out["symmetric_coupling"] = (body.coupling1 + flipped) / 2
     return out
 
 
@@ -277,11 +279,11 @@ def _canonical(name: str, at: tuple[int, ...]) -> tuple[int, ...]:
     """Return the index that stands for an entry of a symmetric field."""
     if name in ("modal_mass", "inertia"):
         return tuple(sorted(at))
-    if name in ("moment2", "second_modes", "gyroscopic", "turning"):
+    if name in ("first_moment2", "second_modes", "gyroscopic", "symmetric_coupling"):
         return (*at[:-2], *sorted(at[-2:]))
     if name == "inertia1":
         return (at[0], *sorted(at[1:]))
-    if name in ("inertia2", "rotation_stiffness"):
+    if name in ("inertia2", "centrifugal_stiffness"):
         return (*sorted(at[:2]), *sorted(at[2:]))
     return at
 

@@ -78,7 +78,7 @@ def read_mbdyn_modal(
         >>> path = pathlib.Path(tempfile.mkdtemp()) / "body.fem"
         >>> _ = path.write_text(text)
         >>> found = read_mbdyn_modal(path)
-        >>> found.body.frequencies.round(12).tolist(), found.body.moment.tolist()
+        >>> found.body.frequencies.round(12).tolist(), found.body.first_moment.tolist()
         ([2.0], [1.0, 0.0, 0.0])
     """
     where = os.fspath(path)

@@ -86,7 +86,7 @@ def from_sid(sid: Any) -> ModalBody:
         >>> sid = Structure(refmod=Structure(mass=2.0, nelastq=1, ielastq=["bending"]), frame=[],
         ...     mdCM=block(3, 1), J=block(3, 3), Ct=block(1, 3), Cr=block(1, 3), Me=block(1, 1),
         ...     Oe=block(1, 6), Ke=block(1, 1))
-        >>> from_sid(sid).moment.tolist()
+        >>> from_sid(sid).first_moment.tolist()
         [1.0, 1.0, 1.0]
     """
     m = int(sid.refmod.nelastq)
@@ -136,13 +136,13 @@ def from_sid(sid: Any) -> ModalBody:
     J2 = _carried(c1, Me) if stiffened else total
     given: dict[str, Any] = dict(
         mass=float(sid.refmod.mass),
-        moment=h[:, 0],
-        moment1=Ct.T,
-        moment2=(h2 + h2.transpose(0, 2, 1)) / 2,
+        first_moment=h[:, 0],
+        first_moment1=Ct.T,
+        first_moment2=(h2 + h2.transpose(0, 2, 1)) / 2,
         inertia=(J + J.T) / 2,
         inertia1=((J1 + J1.transpose(1, 0, 2)) / 2).transpose(2, 0, 1),
         inertia2=J2,
-        rotation_stiffness=J2 - total,
+        centrifugal_stiffness=J2 - total,
         coupling=Cr.T,
         coupling1=c1,
         modal_mass=(Me + Me.T) / 2,
@@ -187,12 +187,12 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     ) / 2
     twice = [1 if a == c else 2 for a, c in PAIRS]
     Oe = [-f * b.inertia1[:, a, c] / 2 for f, (a, c) in zip(twice, PAIRS, strict=True)]
-    total = b.inertia2 - b.rotation_stiffness
+    total = b.inertia2 - b.centrifugal_stiffness
     Oe1 = [-f * total[:, :, a, c] for f, (a, c) in zip(twice, PAIRS, strict=True)]
     c1 = b.coupling1
-    lines += _block("mdCM", b.moment[:, None], b.moment1[:, None])
+    lines += _block("mdCM", b.first_moment[:, None], b.first_moment1[:, None])
     lines += _block("J", b.inertia, b.inertia1.transpose(1, 2, 0))
-    lines += _block("Ct", b.moment1.T, b.moment2.transpose(1, 0, 2))
+    lines += _block("Ct", b.first_moment1.T, b.first_moment2.transpose(1, 0, 2))
     lines += _block("Cr", b.coupling.T, c1.transpose(1, 0, 2))
     lines += _block("Me", b.modal_mass)
     lines += _block(

@@ -50,8 +50,8 @@ def geometric_stiffening(
             need forces that are not known, so they do not stiffen.
 
     Returns:
-        moment2, rotation_stiffness and a part of coupling1 of a `ModalBody`, and second_modes
-        (P, 3, m, m).
+        first_moment2, centrifugal_stiffness and a part of coupling1 of a `ModalBody`, and
+        second_modes (P, 3, m, m).
     """
     assert elements.prestress is not None
     m, p = basis.shape[1], elements.places - origin
@@ -74,9 +74,9 @@ def geometric_stiffening(
     G = np.zeros((m, m, 3, 3))
     for n, (a, b) in enumerate(PAIRS):
         G[:, :, a, b] = G[:, :, b, a] = K[n] if a == b else K[n] / 2
-    second = {"rotation_stiffness": G}
+    second = {"centrifugal_stiffness": G}
     if fixed:
-        second |= {"moment2": K[6:9], "coupling1": K[9:12]}
+        second |= {"first_moment2": K[6:9], "coupling1": K[9:12]}
     bent = -K[12 if fixed else 6 :].reshape(len(motions), 3, m, m)
     return second, bent
 
@@ -129,10 +129,12 @@ def stiffness_in_motion(
         [[-5.0]]
     """
     w = _vector("w", w)
-    spun = np.asarray(body.rotation_stiffness) - np.asarray(body.inertia2)
+    spun = np.asarray(body.centrifugal_stiffness) - np.asarray(body.inertia2)
     K = np.asarray(body.stiffness) + np.einsum("a,jkab,b", w, spun, w)
     if acceleration is not None:
-        K = K + np.tensordot(_vector("acceleration", acceleration), np.asarray(body.moment2), 1)
+        K = K + np.tensordot(
+            _vector("acceleration", acceleration), np.asarray(body.first_moment2), 1
+        )
     if angular_acceleration is not None:
         c1 = np.tensordot(
             _vector("angular_acceleration", angular_acceleration), np.asarray(body.coupling1), 1
@@ -195,7 +197,7 @@ def fast_rotation(body: ModalBody, omega: Any, acceleration: Any = None) -> Fast
     mass = np.asarray(body.modal_mass)
     squares, _ = generalized_modes(stiffness_in_motion(body, w, acceleration), mass)
     at_rest, _ = generalized_modes(np.asarray(body.stiffness), mass)
-    second = (body.moment2, body.second_modes, body.rotation_stiffness)
+    second = (body.first_moment2, body.second_modes, body.centrifugal_stiffness)
     stiffened = any(np.any(np.asarray(x)) for x in second)
     speed, lowest = float(np.linalg.norm(w)), squares[0]
     scale = f"lowest squared frequency {lowest:.4g} rad^2/s^2 at {speed:.4g} rad/s"

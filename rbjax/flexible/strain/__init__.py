@@ -2,7 +2,7 @@
 
 basis              Legendre polynomials, Gauss points, moments of a cell, integration matrix
 rotation           rotation over a cell: Magnus expansion of order 6, exponential, derivatives
-turning            rotations, their columns and their rates at the nodes of a beam
+section_rotations  rotations, their columns and their rates at the nodes of a beam
 beam_kinematics    positions, columns and accelerations at the frames of a beam
 virtual_power      virtual power of a beam's inertial forces
 shape              static configuration of a beam

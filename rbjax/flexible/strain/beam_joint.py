@@ -21,8 +21,8 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.flexible.strain import basis, beam_kinematics, virtual_power
+from rbjax.flexible.strain.section_rotations import Cells, Coefficients, Orientation
 from rbjax.flexible.strain.shape import STRAINS, Shape, checked_degrees, checked_place, is_integer
-from rbjax.flexible.strain.turning import Cells, Coefficients, Orientation
 from rbjax.joints.flexible import Flexible
 from rbjax.joints.frame_motion import FrameMotion, VirtualFrame
 from rbjax.joints.registry import register
@@ -63,16 +63,15 @@ class StrainBeam(Flexible):
         rows = basis.integration_matrix(shape.points, np.array([*self.nodes, *ends]))
         rows[shape.points] = weights
         self.rows = rows.tolist()
-        turning = [(k, j) for k, j in self.columns if k < 3]
+        curvature = [(k, j) for k, j in self.columns if k < 3]
         natural = [(STRAINS.index(strain), j) for strain, j in shape.natural]
-        present = [*turning, *natural]
-        self._turns = len(turning)
-        self._stretching = [(k - 3, j) for k, j in self.columns if k >= 3]
+        present = [*curvature, *natural]
+        self._gamma = [(k - 3, j) for k, j in self.columns if k >= 3]
         self.cells = Cells(
             max((j for _, j in present), default=-1),
             nodes,
             ends,
-            turning,
+            curvature,
             sorted({k for k, _ in present}),
         )
         stations = shape.points if shape.tapered else 1
@@ -109,18 +108,20 @@ class StrainBeam(Flexible):
         (length,) = given["length"]
         moves = not all(map(is_zero, v))
         sections, s = self._stretched(q, v if moves else None, given)
-        turns = beam_kinematics.turning_columns(self.rows, s, sections, length)
-        stretches = beam_kinematics.stretching_columns(
-            self.rows, self.values, self._stretching, s, sections, length
+        by_curvature = beam_kinematics.curvature_columns(self.rows, s, sections, length)
+        by_gamma = beam_kinematics.gamma_columns(
+            self.rows, self.values, self._gamma, s, sections, length
         )
         speeds = [(Motion.zero(), Motion.zero())] * self.count
         if moves:
             speeds = beam_kinematics.velocities(self.rows, s, sections)
-        own = [*self._inertias(given), *[RigidInertia.zero()] * (self.count - self.tip)]
+        inertias = [*self._inertias(given), *[RigidInertia.zero()] * (self.count - self.tip)]
         out = []
         for g, (row, section) in enumerate(zip(self.rows, sections, strict=True)):
             pose = beam_kinematics.pose(row, s, section)
-            out.append(FrameMotion.at_pose(pose, [*turns[g], *stretches[g]], *speeds[g], own[g]))
+            out.append(
+                FrameMotion.at_pose(pose, [*by_curvature[g], *by_gamma[g]], *speeds[g], inertias[g])
+            )
         return out
 
     def virtual_frames(

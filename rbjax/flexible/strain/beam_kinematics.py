@@ -7,7 +7,7 @@
 
 h is a Gauss point, A the integration matrix (`basis.integration_matrix`), Gamma the strain along
 the beam with the value 1 of the unstrained beam, B_hj = dGamma_h/dq_j, and W_j, w and alpha belong
-to the sections (`turning`). The columns are the exact derivatives of these sums, and the
+to the sections (`section_rotations`). The columns are the exact derivatives of these sums, and the
 accelerations their exact second derivatives.
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from rbjax.flexible.strain.turning import Coefficients, Orientation
+from rbjax.flexible.strain.section_rotations import Coefficients, Orientation
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, inner, is_literal
 from rbjax.spatial import Motion, Transform
 
@@ -81,7 +81,7 @@ def position(weights: Sequence[float], s: Stretched) -> Vec3:
     return weighted_sum(weights, s.t)
 
 
-def turning_columns(
+def curvature_columns(
     rows: Rows, s: Stretched, sections: Sequence[Orientation], length: Lane
 ) -> list[list[Motion]]:
     """Compute [L W_j; dr/dq_j] of each frame and coordinate of curvature, in the frame's axes.
@@ -112,7 +112,7 @@ def turning_columns(
     return out
 
 
-def stretching_columns(
+def gamma_columns(
     rows: Rows,
     values: Rows,
     strains: Sequence[tuple[int, int]],

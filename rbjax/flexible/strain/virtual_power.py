@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from rbjax.flexible.strain.beam_kinematics import Rows, Stretched, weighted_sum
-from rbjax.flexible.strain.turning import Orientation
+from rbjax.flexible.strain.section_rotations import Orientation
 from rbjax.lanes import Lane, Mat3, Vec3, add, fusion_barrier, is_zero, mul
 from rbjax.spatial import Motion, RigidInertia
 

@@ -90,8 +90,8 @@ def test_free_beam_has_mean_axes():
         got = body.frequencies
         assert errors(body, want[:2]).max() < 2e-4  # 16 modes of the reduction
         scale = np.sqrt(12.0)
-        assert np.abs(np.asarray(body.moment1)).max() < 1e-8 * scale
-        about = np.asarray(body.coupling) - np.cross([5.0, 0, 0], body.moment1, axis=0)
+        assert np.abs(np.asarray(body.first_moment1)).max() < 1e-8 * scale
+        about = np.asarray(body.coupling) - np.cross([5.0, 0, 0], body.first_moment1, axis=0)
         assert np.abs(about).max() < 1e-7 * scale
         assert got[0] > 1.0
 
@@ -101,14 +101,14 @@ def test_invariants_of_a_bar():
     mesh = beam_mesh(line(8) + np.array([0, 0, 3.0]), EULER)
     body = craig_bampton(mesh, [Interface("root", [0]), Interface("tip", [8])], 2, frame="root")
     assert np.allclose(body.mass, 12.0, rtol=1e-13)
-    assert np.allclose(body.moment, [60.0, 0, 0], atol=1e-10)
+    assert np.allclose(body.first_moment, [60.0, 0, 0], atol=1e-10)
     assert np.allclose(body.inertia, np.diag([1e-2, 400.0, 400.0]), atol=1e-9)
     assert np.allclose(body.positions, [[0, 0, 0], [10, 0, 0]])
     nodes, cells = box_mesh((1.0, 2.0, 3.0), (1, 2, 2), quadratic=True)
     solid = tetrahedral_mesh(nodes, cells, E=1e9, poisson=0.3, density=2.0)
     whole = craig_bampton(solid, [], 3)
     assert np.allclose(whole.mass, 12.0, rtol=1e-12)
-    assert np.allclose(whole.moment, [6.0, 12.0, 18.0], rtol=1e-12)
+    assert np.allclose(whole.first_moment, [6.0, 12.0, 18.0], rtol=1e-12)
     second = 12.0 / 3 * np.array([1.0, 4.0, 9.0])
     assert np.allclose(np.diag(whole.inertia), second.sum() - second, rtol=1e-12)
     assert np.allclose(whole.inertia[0, 1], -12.0 * 0.5 * 1.0, rtol=1e-12)
@@ -121,14 +121,15 @@ def test_matrices_of_another_program():
     ends = [Interface(k, np.flatnonzero(nodes[:, 0] == x)) for k, x in (("a", 0.0), ("b", 2.0))]
     bare = FiniteElements.from_matrices(solid.M, solid.K, nodes)
     one, two = (craig_bampton(x, ends, 3, frame="a", stiffening=False) for x in (solid, bare))
-    for name in ("moment1", "coupling", "inertia", "inertia1", "inertia2", "coupling1", "modes"):
+    names = ("first_moment1", "coupling", "inertia", "inertia1", "inertia2", "coupling1", "modes")
+    for name in names:
         a, b = np.asarray(getattr(one, name)), np.asarray(getattr(two, name))
         assert np.abs(a - b).max() < 1e-8 * np.abs(b).max(), name  # modes of two eigenproblems
     beam = beam_mesh(line(6), EULER)
     lumped = FiniteElements.from_matrices(beam.M.toarray(), beam.K.toarray(), beam.positions)
     tips = [Interface("a", [0]), Interface("b", [6])]
     one, two = (craig_bampton(x, tips, 0, frame="a", stiffening=False) for x in (beam, lumped))
-    for name in ("moment1", "coupling", "inertia", "modal_mass"):
+    for name in ("first_moment1", "coupling", "inertia", "modal_mass"):
         a, b = np.asarray(getattr(one, name)), np.asarray(getattr(two, name))
         assert np.abs(a - b).max() < 1e-7 * max(np.abs(b).max(), 1e-3), name
 

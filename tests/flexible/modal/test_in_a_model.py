@@ -120,7 +120,8 @@ def test_derivatives_by_the_numbers_of_the_body():
     @jax.jit
     def tip(scale):
         model = add_modal_body(
-            world, "blob", body.replace(coupling=body.coupling, moment1=body.moment1 * scale),
+            world, "blob",
+            body.replace(coupling=body.coupling, first_moment1=body.first_moment1 * scale),
             layout=layout,
         )  # fmt: skip
         q, v = jnp.array([0.1, -0.2]), jnp.array([0.3, 0.4])

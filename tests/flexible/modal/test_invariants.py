@@ -139,7 +139,8 @@ def test_subset_of_modes_damping_and_names():
         points["rotation_modes"][:, :, [2, 0]],
     )
     direct = from_points(**points, stiffness=K[[2, 0]][:, [2, 0]], frames=[0, 5])
-    for name in ("moment1", "inertia1", "inertia2", "coupling", "coupling1", "modal_mass", "modes"):
+    names = ("first_moment1", "inertia1", "inertia2", "coupling", "coupling1", "modal_mass")
+    for name in (*names, "modes"):
         close(getattr(part, name), getattr(direct, name))
     damped = body.with_damping(0.02)
     M, D = np.asarray(body.modal_mass), np.asarray(damped.damping)

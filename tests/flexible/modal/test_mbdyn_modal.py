@@ -38,7 +38,7 @@ def test_dynamic_example_of_the_manual(tmp_path):
     found = read(tmp_path, RECORDS)
     body = found.body
     assert float(body.mass) == 3.0
-    assert body.moment.tolist() == [0.0, 0.0, 0.0]
+    assert body.first_moment.tolist() == [0.0, 0.0, 0.0]
     assert body.inertia.tolist() == np.diag([11.0, 3.0, 11.0]).tolist()
     assert body.stiffness.tolist() == [[1.0, 0.0], [0.0, 100.0]]
     assert body.frame_names == ("1001", "1002", "1003")
@@ -46,7 +46,7 @@ def test_dynamic_example_of_the_manual(tmp_path):
     assert found.q.tolist() == [0.1, 0.0] and found.v.tolist() == [0.0, 0.2]
     places = np.array([[0, -2.0, 0], [0, 0, 0], [0, 2, 0]])
     want = inertia_invariants(np.ones(3), places, np.asarray(body.modes))
-    assert np.allclose(body.moment1, want.I3) and np.allclose(body.coupling, want.I4)
+    assert np.allclose(body.first_moment1, want.I3) and np.allclose(body.coupling, want.I4)
     assert np.allclose(body.inertia2, (want.N + want.N.transpose(1, 0, 2, 3)) / 2)
 
 
@@ -57,7 +57,7 @@ def test_static_example_of_the_manual(tmp_path):
     found = read(tmp_path, records, frames=["1003"])
     body = found.body
     assert float(body.mass) == 3.0 and np.allclose(body.inertia, np.diag([11.0, 3.0, 11.0]))
-    for name in ("moment1", "inertia1", "inertia2", "coupling", "coupling1", "modal_mass"):
+    for name in ("first_moment1", "inertia1", "inertia2", "coupling", "coupling1", "modal_mass"):
         assert not np.any(getattr(body, name)), name
     assert body.frame_names == ("1003",) and not found.q.any()
 
@@ -67,10 +67,10 @@ def test_global_inertia_replaces_that_of_the_points(tmp_path):
     moved = "3\n0 1 0\n11 0 0\n0 3 0\n0 0 11"
     records = RECORDS | {12: moved, 13: "0.1 0.02\n0.03 0.4"}
     body = read(tmp_path, records).body
-    assert np.allclose(body.moment, [0.0, 3.0, 0.0])
+    assert np.allclose(body.first_moment, [0.0, 3.0, 0.0])
     assert np.allclose(body.inertia, np.diag([14.0, 3.0, 14.0]))
     assert np.allclose(body.damping, [[0.1, 0.03], [0.02, 0.4]])  # columns are given first
-    assert np.allclose(body.moment1, read(tmp_path, RECORDS).body.moment1)
+    assert np.allclose(body.first_moment1, read(tmp_path, RECORDS).body.first_moment1)
 
 
 @pytest.mark.parametrize(

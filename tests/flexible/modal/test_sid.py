@@ -63,15 +63,15 @@ def test_tower_digits():
     close(body.inertia[0, 0], "inertia_xx")
     close(body.inertia[1, 1], "inertia_xx")
     close(body.inertia[2, 2], "inertia_zz")
-    close(body.moment[2], "first_moment_z")
+    close(body.first_moment[2], "first_moment_z")
     for k, (axis, sign) in enumerate(((1, 1.0), (0, -1.0))):
         close(body.modal_mass[k, k], "modal_mass", 3e-10)  # ten digits are given
-        close(body.moment1[k, k], "Ct")
+        close(body.first_moment1[k, k], "Ct")
         close(body.coupling[axis, k], "Cr", sign=sign)
         # inertia1 = D + D^T, whose only entry of D is -sum m x z
         close(body.inertia1[k, k, 2], "C4", sign=-1.0)
         close(body.inertia2[k, k, axis, axis], "centrifugal")
-    geometric = np.asarray(tower_body(True).rotation_stiffness)
+    geometric = np.asarray(tower_body(True).centrifugal_stiffness)
     for k in range(2):
         for axis in range(2):
             close(geometric[k, k, axis, axis], "stiffening_omega_xx")
@@ -165,10 +165,10 @@ def random_body(second=True):
 
 
 def same(a, b):
-    spun = [x.rotation_stiffness - x.inertia2 for x in (a, b)]  # a file has the sum only
+    spun = [x.centrifugal_stiffness - x.inertia2 for x in (a, b)]  # a file has the sum only
     assert np.abs(spun[0] - spun[1]).max() <= 2e-15 * np.abs(spun[1]).max(initial=0.0)
     for name in shapes(1, 1):
-        if name in ("rotation_stiffness", "inertia2") and np.any(b.rotation_stiffness):
+        if name in ("centrifugal_stiffness", "inertia2") and np.any(b.centrifugal_stiffness):
             continue
         x, y = np.asarray(getattr(a, name)), np.asarray(getattr(b, name))
         assert np.abs(x - y).max(initial=0.0) <= 1e-15 * np.abs(y).max(initial=0.0), name
@@ -277,7 +277,7 @@ def test_a_structure_of_another_program():
     # -w.J2 w is the first-order term of Oe
     products = np.array([w[0] ** 2, w[1] ** 2, w[2] ** 2, w[0] * w[1], w[1] * w[2], w[0] * w[2]])
     want = np.einsum("jnk,n->jk", sid.Oe.M1, products)
-    got = np.einsum("a,jkab,b->jk", w, body.rotation_stiffness - body.inertia2, w)
+    got = np.einsum("a,jkab,b->jk", w, body.centrifugal_stiffness - body.inertia2, w)
     assert np.allclose(got, (want + want.T) / 2)
     assert np.allclose(body.coupling1[1, 0, 1], sid.Cr.M1[0, 1, 1])
     assert body.frame_names == ("7",) and body.mode_names == ("a", "b")

@@ -39,7 +39,7 @@ def beam(n=40, modes=12, **options):
 
 def in_plane(body):
     """The modes along y."""
-    return np.flatnonzero(np.abs(np.asarray(body.moment1)).argmax(0) == 1)
+    return np.flatnonzero(np.abs(np.asarray(body.first_moment1)).argmax(0) == 1)
 
 
 def test_an_unstiffened_body_in_fast_rotation_is_detected():

@@ -26,7 +26,7 @@ def integrated(length: float) -> np.ndarray:
 
 def test_rotation_converges_with_order_six():
     """Over n equal cells the error falls as n^-6. Here a cell ends at each frame of `Cells`."""
-    from rbjax.flexible.strain.turning import Cells
+    from rbjax.flexible.strain.section_rotations import Cells
 
     k = [list(map(float, row)) for row in CURVATURE]
     turning = [(c, j) for c in range(3) for j in range(4)]

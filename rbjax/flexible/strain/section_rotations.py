@@ -57,7 +57,7 @@ class Cells:
         degree: the largest degree of a component of the curvature, or -1.
         nodes: s / L of the Gauss points, in increasing order.
         frames: s / L of the further frames.
-        turning: (component, degree) of each coordinate of curvature.
+        coordinates: (component, degree) of each coordinate of curvature.
         components: the components of the curvature that are not structurally zero.
     """
 
@@ -66,10 +66,10 @@ class Cells:
         degree: int,
         nodes: np.ndarray,
         frames: Sequence[float],
-        turning: Sequence[tuple[int, int]],
+        coordinates: Sequence[tuple[int, int]],
         components: Sequence[int],
     ):
-        self.turning, self.components = tuple(turning), tuple(components)
+        self.coordinates, self.components = tuple(coordinates), tuple(components)
         before = [int(np.searchsorted(nodes, x, side="right")) for x in frames]
         #: index of the section at which each cell starts; 0 is the base
         self.starts = (*range(len(nodes)), *before)
@@ -110,7 +110,7 @@ class Cells:
         if along and rate:
             return self._looped(k, rate, along)
         none = Vec3.zero()
-        start = tuple(none for _ in self.turning) if columns else ()
+        start = tuple(none for _ in self.coordinates) if columns else ()
         sections = [Orientation(Mat3.identity(), start, none, none, none)]
         for at, moments in zip(self.starts, self.moments, strict=True):
             sections.append(self._next(sections[at], moments, k, rate, along))
@@ -169,7 +169,7 @@ class Cells:
             c, s = math.cos(angle), math.sin(angle)
         else:
             c, s = fusion_barrier(sincos(angle))
-        turn = tuple(_along(axis, x[j]) for _, j in self.turning) if columns else ()
+        turn = tuple(_along(axis, x[j]) for _, j in self.coordinates) if columns else ()
         rates = (rate, *(along or (None, None)))
         w, alpha, virtual = (_along(axis, _short_inner(x, y[axis])) if y else none for y in rates)
         return Orientation(rotation.rotation_about(axis, angle, c, s), turn, w, alpha, virtual)
@@ -187,7 +187,7 @@ class Cells:
         R = last.R @ rotation.exponential(m.angle, c)
         turn, w, alpha, virtual = last.turn, last.w, last.alpha, last.virtual
         if turn:
-            turn = self._turns(last, moments, m, last.R @ rotation.left_jacobian(m.angle, c))
+            turn = self._next_columns(last, moments, m, last.R @ rotation.left_jacobian(m.angle, c))
         if rate:
             r = m.rate(_vectors(moments, rate))
             second = m.second_rate(r)
@@ -196,17 +196,17 @@ class Cells:
                 change = m.rate(_vectors(moments, along[1])).angle
                 virtual = virtual + last.R @ rotation.angular_velocity(m.angle, change, c)
             more = last.R @ rotation.angular_velocity(m.angle, r.angle, c)
-            own = last.R @ rotation.angular_acceleration(m.angle, r.angle, second, c)
-            w, alpha = w + more, alpha + w.cross(more) + own
+            relative = last.R @ rotation.angular_acceleration(m.angle, r.angle, second, c)
+            w, alpha = w + more, alpha + w.cross(more) + relative
         return fusion_barrier(Orientation(R, turn, w, alpha, virtual))
 
-    def _turns(
+    def _next_columns(
         self, last: Orientation, moments: Rows, m: rotation.Magnus, J: Mat3
     ) -> tuple[Vec3, ...]:
         """Compute W_j at the end of a cell: dO/dq_j is linear in the moments of P_j."""
         none = Vec3.zero()
         slopes: dict[int, list[Vec3]] = {}
-        for axis, degree in self.turning:
+        for axis, degree in self.coordinates:
             units = slopes.setdefault(axis, [])
             e = _along(axis, 1.0)
             changes = ((e, e, none, none), (none, none, e, none), (e * (1 / 12), none, none, e))
@@ -214,7 +214,7 @@ class Cells:
                 units.append(J @ m.rate(changes[len(units)]).angle)
         return tuple(
             before + sum((u * w[j] for u, w in zip(slopes[axis], moments[1:], strict=False)), none)
-            for before, (axis, j) in zip(last.turn, self.turning, strict=True)
+            for before, (axis, j) in zip(last.turn, self.coordinates, strict=True)
         )
 
 
