@@ -11,6 +11,9 @@ and of Newton's decrement of the last step, relative to the forces:
 
 both under a square root, with w_i = (M^-1)_ii.
 
+It also ends if a step does not halve an error below `NEAR` times the tolerance. What is left is
+rounding. Without this end a GPU waits for the few robots of a batch that take all 50 steps.
+
 The decrement is the error of x in the norm of H. It is small for rounding errors of stiff contacts,
 whose gradient is not. If alpha is above one, the decrement is alpha times larger, the length of the
 step.
@@ -45,6 +48,9 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
 SLOPE = 0.01
+#: the error, relative to the tolerance, below which an iteration ends that does not halve it: only
+#: rounding is left
+NEAR = 10
 #: the length below which a step is short
 SHORT = 0.5
 
@@ -80,6 +86,7 @@ class _Iterate(NamedTuple):
         stiffness: (n, 21) of the contacts of each pair of links.
         size: of the forces (see the module).
         error: the smaller one of the relative gradient and the decrement.
+        stalled: whether the last step did not halve an error near the tolerance.
     """
 
     x: jax.Array
@@ -93,6 +100,7 @@ class _Iterate(NamedTuple):
     stiffness: Any = None
     size: Any = None
     error: Any = None
+    stalled: Any = False
 
 
 def tolerance_of(dtype: Any) -> float:
@@ -107,13 +115,16 @@ def solve(
     bound = tolerance_of(problem.dtype) if tolerance is None else tolerance
 
     def unfinished(at: _Iterate) -> jax.Array:
-        return (at.error > bound) & (at.iterations < iterations)
+        return (at.error > bound) & (at.iterations < iterations) & ~at.stalled
 
     def step(at: _Iterate) -> _Iterate:
-        return _evaluated(problem, _newton_step(problem, at))
+        new = _evaluated(problem, _newton_step(problem, at))
+        stalled = (new.error <= NEAR * bound) & (new.error >= 0.5 * at.error)
+        return new._replace(stalled=stalled)
 
     # without a branch, so that each array of an iterate is updated in place
-    at = jax.lax.while_loop(unfinished, step, _evaluated(problem, _start(problem)))
+    first = _evaluated(problem, _start(problem))._replace(stalled=jnp.bool_(False))
+    at = jax.lax.while_loop(unfinished, step, first)
     return Solution(at.x, at.iterations, at.error, at.residuals)
 
 
