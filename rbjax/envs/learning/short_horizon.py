@@ -131,9 +131,10 @@ def shac(
     integer(where, "reports", reports, least=1)
     for name, x in (("discount", discount), ("trace", trace), ("slow", slow)):
         real_number(where, name, x, least=0.0, most=1.0)
-    for name, x in (("rate", rate), ("critic_rate", critic_rate), ("slope_limit", slope_limit)):
-        if x is not None:
-            real_number(where, name, x, above=0.0)
+    for name, x in (("rate", rate), ("critic_rate", critic_rate)):
+        real_number(where, name, x, above=0.0)
+    if slope_limit is not None:
+        real_number(where, "slope_limit", slope_limit, above=0.0)
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)

@@ -62,7 +62,7 @@ CART_POLE_SHAC = {
 
 #: impacts of feet have large gradients
 LEGS_SHAC = {
-    "steps": 20_000_000, "batch": 512, "horizon": 24, "rate": 3e-3, "discount": 0.985, "std": 0.2,
+    "steps": 20_000_000, "batch": 512, "horizon": 24, "rate": 3e-3, "discount": 0.98, "std": 0.2,
     "slope_limit": 0.1,
 }  # fmt: skip
 

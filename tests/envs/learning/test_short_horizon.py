@@ -204,6 +204,15 @@ def test_gains_come_to_those_of_the_regulator():
     assert found.skipped == 0 and found.critic is None
 
 
+@pytest.mark.slow
+def test_a_swing_up_is_learned():
+    """A shorter training than the benchmark's."""
+    from benchmarks.shared import policy_training as training
+
+    row = training.by_gradients(training.environment(), 0, 300, 128)
+    assert row["success"] > 0.9 and row["skipped"] == 0
+
+
 @pytest.mark.parametrize(
     "call, said",
     [
