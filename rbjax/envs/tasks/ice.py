@@ -37,7 +37,7 @@ RADIUS = 0.05  # of the wheels, m
 STIFFNESS, ONSET = 2e3, 1e-4  # of the tyres' springs, N/m and m
 #: a track of 31 m with turns to both sides: rows k = 1, 2, 3 of x_c, x_s, y_c, y_s in m
 TRACK = ((5.5, 0.0, 0.0, 3.5), (0.4, -0.5, 0.1, -0.1), (0.7, -0.5, 0.5, 0.5))
-POINTS = 48  # at which the nearest point of the centre line is first looked for
+POINTS = 24  # at which the nearest point of the centre line is first looked for
 AHEAD = (0.4, 0.8, 1.2, 1.8, 2.4, 3.2)  # distances of the previewed points, m
 
 
@@ -157,9 +157,11 @@ class Nearest(NamedTuple):
 def centre_line(track: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the centre line c(u) and its derivatives c'(u) and c''(u), (2,) each."""
     at = along = bend = jnp.zeros(2, track.dtype)
+    c1, s1 = jnp.cos(u), jnp.sin(u)
+    c, s = jnp.ones_like(c1), jnp.zeros_like(s1)
     for i in range(track.shape[0]):
         k = i + 1
-        c, s = jnp.cos(k * u), jnp.sin(k * u)
+        c, s = c * c1 - s * s1, s * c1 + c * s1  # of k u
         even, odd = track[i, 0::2], track[i, 1::2]
         at = at + even * c + odd * s
         along = along + k * (odd * c - even * s)
