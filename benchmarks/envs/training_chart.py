@@ -1,0 +1,56 @@
+"""The chart of the trainings: reward of an episode against seconds, with compiling.
+
+    python -m benchmarks.envs.training_chart
+
+reads results/training-*.json of one device and writes docs/training.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.shared.timing import RESULTS
+from rbjax.style import STYLE
+
+DOCS = Path(__file__).parents[2] / "docs"
+TITLES = {
+    "go1_joystick_flat": "Go1 follows velocity commands",
+    "g1_joystick": "G1 follows velocity commands",
+    "panda_pick_cube": "Panda brings a cube to a place",
+    "cart_pole_swing_up": "Cart-pole swings up",
+}
+NAMES = {"ppo": "PPO (Brax)", "shac": "SHAC"}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--device", default="nvidia-h100-80gb-hbm3")
+    device = parser.parse_args().device
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(2, 2, figsize=(9, 5.6), layout="constrained")
+        for ax, (task, title) in zip(axes.flat, TITLES.items(), strict=True):
+            for algorithm, name in NAMES.items():
+                stem = f"training-{task}-{algorithm}".replace("_", "-")
+                path = RESULTS / f"{stem}-{device}.json"
+                if not path.exists():
+                    continue
+                (row,) = json.loads(path.read_text())["rows"]
+                curve = [p for p in row["curve"] if p["reward"] is not None]
+                t, y = (np.array([p[k] for p in curve], float) for k in ("seconds", "reward"))
+                keep = np.isfinite(y)
+                ax.plot(t[keep], y[keep], marker="o", markersize=3, label=name)
+            ax.set(title=title, xlabel="s, with compiling", ylabel="reward of an episode")
+            ax.set_xlim(left=0)
+            ax.legend(loc="lower right")
+        figure.savefig(DOCS / "training.png")
+
+
+if __name__ == "__main__":
+    main()
