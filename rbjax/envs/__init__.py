@@ -16,7 +16,7 @@ Files:
 Subpackages:
     adapters: the environments in the interfaces of learning libraries.
     learning: learners of policies: PPO, SHAC, checkpoints.
-    tasks: the tasks, one a file.
+    suite: the tasks, one a file.
     terms: observation and reward terms that tasks share.
     robots: MJCF files of robots.
 """

@@ -57,7 +57,7 @@ def tasks() -> dict[str, Callable[..., Task]]:
         >>> "cart_pole_balance" in rb.envs.tasks()
         True
     """
-    package = importlib.import_module("rbjax.envs.tasks")
+    package = importlib.import_module("rbjax.envs.suite")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     return dict(sorted(_TASKS.items()))

@@ -12,8 +12,8 @@ from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.problem import Knot
 from rbjax.envs import Increment, Observation, Reward, Task, Variable
 from rbjax.envs.optimal_control import Pair
-from tests.envs.tasks.controllers import damp
-from tests.envs.tasks.shared import placed, quiet
+from tests.envs.suite.controllers import damp
+from tests.envs.suite.shared import placed, quiet
 
 MODEL = rb.load("cart_pole")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks import walking
+from tests.envs.suite import walking
 
 FOUND = importlib.util.find_spec("mujoco_playground")
 FIELDS = [

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks import walking
+from tests.envs.suite import walking
 
 XML = '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/></worldbody></mujoco>'
 

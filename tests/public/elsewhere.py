@@ -60,7 +60,8 @@ ELSEWHERE: dict[str, set[str]] = {
     # finite elements, files, sums over points on the host, links of a model: tests/flexible/modal
     "flexible": {"add_modal_body", "beam_mesh", "box_mesh", "craig_bampton", "elastic_force",
                  "fast_rotation", "from_points", "from_sid", "inertia_invariants",
-                 "read_mbdyn_modal", "read_sid", "stiffness_in_motion", "tetrahedral_mesh",
+                 "read_mbdyn_modal", "read_sid", "section_names", "section_parameters",
+                 "section_regressor", "stiffness_in_motion", "tetrahedral_mesh",
                  "with_middle_nodes", "write_sid"},
     "plotting": {"animate", "animate_policy", "animate_top_view", "bare", "draw", "draw_solids",
                  "poses", "record_policy", "skeleton", "solids", "strobe", "time_plot", "top_view"},

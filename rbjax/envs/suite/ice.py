@@ -52,7 +52,7 @@ def ice_car(friction: float = 0.25, slip_stiffness: float = 5.0) -> Model:
     Source: O'Kelly et al., *F1TENTH*, NeurIPS 2019 Competition Track (the car); Fiala 1954.
 
     Example:
-        >>> from rbjax.envs.tasks.ice import ice_car
+        >>> from rbjax.envs.suite.ice import ice_car
         >>> ice_car(0.2).joint_names
         ('x', 'y', 'heading', 'steering', 'front', 'rear')
     """

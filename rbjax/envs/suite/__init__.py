@@ -12,20 +12,3 @@ Files:
     walker.py: a planar walker that stands, walks or runs.
     panda.py: an arm that picks up a cube.
 """
-
-import sys
-import types
-from collections.abc import Callable
-
-from rbjax.envs import registry
-from rbjax.envs.task import Task
-
-
-class _Tasks(types.ModuleType):
-    """This package, callable: an import of it hides the function `rb.envs.tasks`."""
-
-    def __call__(self) -> dict[str, Callable[..., Task]]:
-        return registry.tasks()
-
-
-sys.modules[__name__].__class__ = _Tasks

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.envs.tasks.ice import AHEAD, TRACK, ice_car, nearest
-from tests.envs.tasks.controllers import pursue
-from tests.envs.tasks.shared import (
+from rbjax.envs.suite.ice import AHEAD, TRACK, ice_car, nearest
+from tests.envs.suite.controllers import pursue
+from tests.envs.suite.shared import (
     check_float32,
     check_gradient,
     check_physics,

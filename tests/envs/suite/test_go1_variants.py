@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from tests.envs.tasks import walking
+from tests.envs.suite import walking
 
 COUNT = 4
 

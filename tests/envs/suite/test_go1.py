@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks import walking
+from tests.envs.suite import walking
 
 FEET = ("FR", "FL", "RR", "RL")
 HOME = np.array([0.1, 0.9, -1.8, -0.1, 0.9, -1.8] * 2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.envs.tasks.trailer import car_with_trailer
-from tests.envs.tasks.controllers import back_up
-from tests.envs.tasks.shared import (
+from rbjax.envs.suite.trailer import car_with_trailer
+from tests.envs.suite.controllers import back_up
+from tests.envs.suite.shared import (
     check_float32,
     check_gradient,
     check_physics,

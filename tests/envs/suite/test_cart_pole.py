@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 
 import rbjax as rb
-from tests.envs.tasks.mujoco_states import (
+from tests.envs.suite.mujoco_states import (
     after,
     at,
     batch,

@@ -37,7 +37,7 @@ def car_with_trailer() -> Model:
     """Load the car with its trailer, with a knife edge at each axle.
 
     Example:
-        >>> from rbjax.envs.tasks.trailer import car_with_trailer
+        >>> from rbjax.envs.suite.trailer import car_with_trailer
         >>> car_with_trailer().joint_names
         ('x', 'y', 'heading', 'steering', 'hitch')
     """

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 import rbjax as rb
-from rbjax.envs.tasks.flexible_arm import flexible_arm
+from rbjax.envs.suite.flexible_arm import flexible_arm
 
 
 def back_up(wheelbase=0.5, drawbar=0.8, behind=0.15):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks import walking
+from tests.envs.suite import walking
 
 FEET = ("left_foot", "right_foot")
 HOME = np.array(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks.mujoco_states import (
+from tests.envs.suite.mujoco_states import (
     after,
     at,
     batch,

@@ -36,7 +36,7 @@ def strip() -> Beam:
     """Make the strip: steel, 0.9 m x 30 mm x 1.5 mm, which bends in the plane.
 
     Example:
-        >>> from rbjax.envs.tasks.flexible_arm import strip
+        >>> from rbjax.envs.suite.flexible_arm import strip
         >>> round(float(strip().section.stiffness[2, 2]), 4)  # EI, N m^2
         1.6875
     """
@@ -48,7 +48,7 @@ def flexible_arm() -> Model:
     """Load the hub and its payload, with the strip between them.
 
     Example:
-        >>> from rbjax.envs.tasks.flexible_arm import flexible_arm
+        >>> from rbjax.envs.suite.flexible_arm import flexible_arm
         >>> flexible_arm().nv
         4
     """

@@ -8,9 +8,9 @@ import pytest
 from scipy.optimize import brentq
 
 import rbjax as rb
-from rbjax.envs.tasks.flexible_arm import elasticity, flexible_arm
-from tests.envs.tasks.controllers import damp
-from tests.envs.tasks.shared import (
+from rbjax.envs.suite.flexible_arm import elasticity, flexible_arm
+from tests.envs.suite.controllers import damp
+from tests.envs.suite.shared import (
     check_float32,
     check_gradient,
     check_physics,
@@ -56,7 +56,7 @@ def test_static_deflection():
     np.testing.assert_allclose(pose.R[1, 1, 0], P * LENGTH**2 / (2 * EI), rtol=1e-5)
     context = rb.forces.Context.of(stiff, 0.0, path.state(-1), None)
     to = type("To", (), {"after": context})
-    from rbjax.envs.tasks.flexible_arm import strain
+    from rbjax.envs.suite.flexible_arm import strain
 
     np.testing.assert_allclose(strain(to)[0], P * LENGTH / EI, rtol=1e-5)
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.tasks.mujoco_states import ROBOTS
+from tests.envs.suite.mujoco_states import ROBOTS
 
 ORACLE = json.loads((Path(__file__).parents[2] / "oracles" / "robots_of_tasks.json").read_text())[
     "robots"
