@@ -50,6 +50,8 @@ class Environment:
         dt: control step in s.
         episode: control steps in an episode.
         default_params: the `Params` of the task.
+        options: the options of a named task, as given to `rb.envs.make`; None for a task of one's
+            own.
 
     Raises:
         InputError: a term of the task returns a wrong shape, or a name occurs twice.
@@ -76,6 +78,8 @@ class Environment:
         self.episode = task.episode
         self.action_size: int = self._sample.action_size
         self.action_range = task.action.range(task.model)
+        #: options of the named task, set by `rb.envs.make`; None for a task of one's own
+        self.options: dict[str, Any] | None = None
         self._programs: dict[tuple[str, bool], Callable] = {}
         self._traced: dict[str, dict] = {}
         self._check_terms()

@@ -41,12 +41,16 @@ def register(name: str) -> Callable[[F], F]:
 
     def add(f: F) -> F:
         old = _TASKS.get(name)
-        if old is not None and old.__qualname__ != f.__qualname__:
+        if old is not None and _origin(old) != _origin(f):
             raise InputError(f"register: {name} is the name of another task, expected a new name")
         _TASKS[name] = f
         return f
 
     return add
+
+
+def _origin(f: Callable) -> tuple[str, str]:
+    return f.__module__, f.__qualname__
 
 
 def tasks() -> dict[str, Callable[..., Task]]:
@@ -89,4 +93,6 @@ def make(name: str, *, kernel: bool | None = None, **options: Any) -> Environmen
     for option in options:
         if option not in accepted:
             raise UnknownName(f"option of task {name!r}", option, accepted)
-    return Environment(known[name](**options), kernel=kernel)
+    env = Environment(known[name](**options), kernel=kernel)
+    env.options = dict(options)
+    return env
