@@ -86,9 +86,11 @@ def observation_sensors(
 
 def log_recording(
     env: Environment, observations: Any, actions: Any, terms: Sequence[str] | None = None, *,
-    group: str = "policy", start: State | None = None, name: str = "log",
+    group: str = "policy", start: State | EnvState | None = None, name: str = "log",
 ) -> Recording:  # fmt: skip
     """Return the log of an environment as a recording, for `rb.sysid.identify`.
+
+    The controls are those of the actions without delay.
 
     Args:
         env: the environment.
@@ -97,7 +99,9 @@ def log_recording(
         actions: (T, na).
         terms: names of terms; None for all that `observation_sensors` returns.
         group: group of the observations.
-        start: state of motion at the first observation; None if it is not known.
+        start: state of motion, or state of the episode, at the first observation; None if it is
+            not known. An action map that reads the last controls, such as `Increment`, requires
+            the state of the episode.
         name: name of the recording.
 
     Returns:
@@ -105,7 +109,8 @@ def log_recording(
         the start. The standard deviation of a channel is that of the uniform noise of its term.
 
     Raises:
-        InputError: wrong shapes.
+        InputError: wrong shapes, a task that delays actions or one of the terms, an action map
+            that reads the state of the episode without that state.
         UnknownName: no such term or group.
 
     Example:
@@ -128,6 +133,7 @@ def log_recording(
     times = env.dt * np.arange(rows)
     if terms is None:
         terms = [x.partition(":")[2] for x in observation_sensors(env, group=group)]
+    _check_delays(where, env, terms, group)
     channels: dict[str, Any] = {}
     at, half = 0, float(env.default_params.noise)
     for term in _terms(env, group):
@@ -139,7 +145,8 @@ def log_recording(
         at += size
     for given in terms:
         choice("observation", given, [t.name for t in _terms(env, group)])
-    channels["ctrl"] = Channel(times, np.asarray(_controls(env, actions)))
+    channels["ctrl"] = Channel(times, np.asarray(_controls(where, env, actions, start)))
+    start = start.state if isinstance(start, EnvState) else start
     if start is not None:
         for key in ("q", "v"):
             first = np.full((rows, np.size(getattr(start, key))), np.nan)
@@ -222,17 +229,42 @@ def _sensor(
     return CustomSensor(sensor, size), others
 
 
-def _controls(env: Environment, actions: jax.Array) -> jax.Array:
+def _check_delays(where: str, env: Environment, terms: Sequence[str], group: str) -> None:
+    """Check that neither the action nor one of the terms is delayed."""
+    delays = {f"the observation {t.name!r}": t.delay for t in _terms(env, group) if t.name in terms}
+    for name, delay in ({"the action": env.task.action_delay} | delays).items():
+        if delay != (0, 0):
+            raise InputError(
+                f"{where}: {name} has a delay of {delay} control steps, expected none; make the "
+                "environment with a delay of (0, 0), record the log there, or shift the rows of a "
+                "log by its delay, or leave an observation out by `terms`"
+            )
+
+
+def _controls(where: str, env: Environment, actions: jax.Array, start: Any) -> jax.Array:
     """Compute the controls (T, nu) of actions (T, na)."""
     task, params = env.task, env.default_params
-    sample = ControlStep(task)
-    state: EnvState = sample.begin(jax.random.key(0), params)
+    known = isinstance(start, EnvState)
+    state: EnvState = start if known else ControlStep(task).begin(jax.random.key(0), params)
+    state = state.replace(ctrl=jnp.asarray(state.ctrl, env.dtype))
 
-    def one(state: EnvState, action: jax.Array) -> tuple[EnvState, jax.Array]:
-        ctrl = task.action.ctrl(action, state, params)
-        return state.replace(ctrl=ctrl, action=action), ctrl
+    def ctrl_of(action: jax.Array, ctrl: jax.Array, last: jax.Array) -> jax.Array:
+        found: jax.Array = task.action.ctrl(action, state.replace(ctrl=ctrl, action=last), params)
+        return found
 
-    return jax.lax.scan(one, state, jnp.asarray(actions, env.dtype))[1]
+    no_action = jnp.zeros(env.action_size, env.dtype)
+    if any(arguments_read(ctrl_of, [no_action, state.ctrl, no_action])[1:]) and not known:
+        raise InputError(
+            f"{where}: the controls of {type(task.action).__name__} depend on those before, and "
+            "start is not the state of an episode; give start=state, as env.reset(key) returns it"
+        )
+
+    def one(last: tuple, action: jax.Array) -> tuple:
+        ctrl = ctrl_of(action, *last)
+        return (ctrl, action), ctrl
+
+    first = state.ctrl, jnp.asarray(state.action, env.dtype)
+    return jax.lax.scan(one, first, jnp.asarray(actions, env.dtype))[1]
 
 
 def _key(data: jax.Array) -> jax.Array:

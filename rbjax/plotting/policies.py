@@ -192,7 +192,7 @@ def _random_actions(env: Environment) -> Policy:
 
 def _contacts(env: Environment, model: Model, states: Any, ctrl: Any, drawn: Any) -> Any:
     """Solve for the contact forces of one robot at all times; None without a contact law."""
-    law = env.task.model.contact
+    law = env.task.model.contact if env.task.contact is None else env.task.contact
     if law is None:
         return None
 

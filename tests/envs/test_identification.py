@@ -61,6 +61,40 @@ def test_recording_has_the_log():
     np.testing.assert_allclose(recording.channels["q"].values[0], state.state.q)
 
 
+def test_controls_of_increments_go_on_in_the_middle_of_an_episode():
+    task = rb.envs.tasks()["cart_pole_balance"]()
+    env = rb.envs.Environment(dataclasses.replace(task, action=rb.envs.Increment(0.1)))
+    path, _ = log(env, 8, 0)
+    _, state = env.reset(jax.random.key(0))
+    applied = []
+    for action in path["action"]:
+        applied.append((state, state.ctrl))
+        _, state, *_ = env.step_once(jax.random.key(2), state, action)
+    applied.append((state, state.ctrl))
+    middle = applied[3][0]
+    recording = rb.envs.log_recording(env, path["obs"][3:], path["action"][3:], start=middle)
+    due = [ctrl for _, ctrl in applied[4:]]
+    np.testing.assert_allclose(recording.channels["ctrl"].values, due, atol=1e-12)
+    np.testing.assert_allclose(recording.channels["q"].values[0], middle.state.q)
+    with pytest.raises(rb.InputError, match=r"Increment depend .* give start=state"):
+        rb.envs.log_recording(env, path["obs"], path["action"], start=middle.state)
+
+
+def test_delays_are_refused():
+    task = rb.envs.tasks()["cart_pole_balance"]()
+    late = rb.envs.Environment(dataclasses.replace(task, action_delay=(2, 2)))
+    with pytest.raises(rb.InputError, match=r"the action has a delay of \(2, 2\)"):
+        rb.envs.log_recording(late, np.zeros((4, 5)), np.zeros((4, 1)))
+    first, *others = task.observations["policy"]
+    terms = [dataclasses.replace(first, delay=(0, 1)), *others]
+    late = rb.envs.Environment(dataclasses.replace(task, observations={"policy": terms}))
+    with pytest.raises(rb.InputError, match="the observation 'cart_position' has a delay"):
+        rb.envs.log_recording(late, np.zeros((4, 5)), np.zeros((4, 1)))
+    rest = [t.name for t in others]
+    found = rb.envs.log_recording(late, np.zeros((4, 5)), np.zeros((4, 1)), rest)
+    assert sorted(found.channels) == ["ctrl", *sorted(f"other:{x}" for x in rest)]
+
+
 def identify(env, logged, start):
     """Find the mass of the pole from a log, with the model of the task as a first guess."""
     recording = rb.envs.log_recording(env, logged["obs"], logged["action"], start=start)

@@ -12,6 +12,10 @@ import pytest
 import rbjax as rb
 from rbjax.plotting import animate_policy, record_policy
 
+BALL = """<mujoco><option timestep="0.002"/><worldbody>
+  <geom name="floor" type="plane" size="0 0 1"/>
+  <body pos="0 0 0.1"><freejoint/><geom size="0.1" density="1000"/></body></worldbody></mujoco>"""
+
 
 @pytest.fixture(scope="module")
 def env() -> rb.envs.Environment:
@@ -58,6 +62,21 @@ def test_errors(env, tmp_path: Path) -> None:
         record_policy(env, 3)
     with pytest.raises(rb.InputError, match="samples"):
         record_policy(env, samples=0)
+
+
+def test_contact_forces_of_the_law_of_the_task() -> None:
+    """A ball at rest on the floor: its weight, if only the task has a law of contact."""
+    model = rb.load(BALL)
+    task = rb.envs.Task(
+        "ball", model.replace(contact=None), start=lambda key, params: model.default_state(),
+        observations={"policy": (rb.envs.Observation("v", lambda to: to.after.v),)},
+        rewards=(rb.envs.Reward("none", lambda to: 0.0),),
+        contact=rb.contact.SoftContact(iterations=20), dt=0.002, decimation=5,
+    )  # fmt: skip
+    found = record_policy(rb.envs.Environment(task), seconds=1.0)
+    assert found.contacts is not None
+    up = np.asarray(found.contacts.world_force)[-1, :, 2]
+    assert abs(up.sum()) == pytest.approx(9.81 * float(model.bodies.mass.sum()), rel=1e-3)
 
 
 @pytest.mark.slow
