@@ -8,8 +8,9 @@ of the problem is the pair (s_{k+1}, s_k), so the Hessian of the reward needs no
 of the physics. Tangent coordinates are the state of motion, and those leaves of the pair on which
 later rewards depend.
 
-The problem is deterministic. Left out are events, noise, delays, the randomisation of the model and
-the ends of episodes. Variables keep their values if their `update` draws random numbers (a command
+The problem is deterministic. Left out are events, noise, delays and the randomisation of the model.
+The motion goes on after a termination, and a reward that reads `terminated` is paid in each step in
+which a termination is true. The cost of a state that is not finite is infinite. Variables keep their values if their `update` draws random numbers (a command
 that changes at random), and are updated otherwise (the phase of a gait).
 """
 
@@ -170,10 +171,11 @@ def step_pair(sample: ControlStep, params: Params, pair: Pair, action: jax.Array
 
 
 def reward_of_pair(sample: ControlStep, params: Params, pair: Pair) -> jax.Array:
-    """Return the reward of the control step between the states of a pair."""
+    """Return the reward of the control step between the states of a pair; -inf if not finite."""
     now, last = pair
     moved = now.state, now.rate
-    return sample.finish(jax.random.key(0), last, now.action, now.ctrl, moved, params)[1]
+    _, reward, _, info = sample.finish(jax.random.key(0), last, now.action, now.ctrl, moved, params)
+    return jnp.where(info["failed"], -jnp.inf, reward)  # an episode pays 0 and ends
 
 
 def parts_read(sample: ControlStep, params: Params) -> tuple[Part, ...]:

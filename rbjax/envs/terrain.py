@@ -23,19 +23,20 @@ def rough_ground(
 ) -> str:
     """Return the text of a robot file whose floor is a height field with random heights.
 
-    The heights at the points of the grid are independent and uniform in [0, height].
+    The heights at the points of the grid are independent and uniform, scaled so that the least is 0
+    and the greatest is `height`.
 
     Args:
         xml: text of an MJCF file with a geom `floor`.
         height: greatest height, m.
         side: length and width of the ground, m.
         points: points of the grid along each side.
-        seed: of the heights.
+        seed: of the heights, at least 0.
         friction: coefficient of friction of the ground; None for that of the floor.
         floor: name of the geom that is replaced.
 
     Raises:
-        InputError: numbers out of range. ModelError: no geom has the name.
+        InputError: numbers out of range. ModelError: the text is not XML, no geom has the name.
 
     Source: the ground of MuJoCo Playground's rough terrains (Zakka et al., 2025).
 
@@ -50,7 +51,14 @@ def rough_ground(
     height = real_number(where, "height", height, above=0.0)
     side = real_number(where, "side", side, above=0.0)
     integer(where, "points", points, least=2)
-    root = ElementTree.fromstring(xml)
+    integer(where, "seed", seed, least=0)
+    try:
+        root = ElementTree.fromstring(xml)
+    except ElementTree.ParseError as error:
+        raise ModelError(
+            f"{where}: the text is not well-formed XML ({error}), expected the text of an MJCF "
+            "file, as pathlib.Path(file).read_text() returns it"
+        ) from error
     geom = root.find(f".//geom[@name='{floor}']")
     if geom is None:
         raise ModelError(f"{where}: the file has no geom {floor!r}; name its floor by floor=")

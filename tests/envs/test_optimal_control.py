@@ -11,7 +11,7 @@ import rbjax as rb
 from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.problem import Knot
 from rbjax.envs import Increment, Observation, Reward, Task, Variable
-from rbjax.envs.optimal_control import Pair
+from rbjax.envs.optimal_control import MinusReward, Pair
 from tests.envs.suite.controllers import damp
 from tests.envs.suite.shared import placed, quiet
 
@@ -81,6 +81,26 @@ def test_cost_is_minus_the_return():
         cost = jax.jit(lambda a, g=given: cost_of(env.problem(6, g), state, a))(actions)
         due = return_of(env, state, actions, given, goal)
         np.testing.assert_allclose(cost, -due, rtol=1e-12)
+
+
+def test_motion_goes_on_after_a_termination_and_must_be_finite():
+    task = dataclasses.replace(
+        everything(), rewards=(Reward("fell", rb.envs.terms.terminated, -7.0),), variables=(),
+        terminations={"out": lambda to: to.after.q[0] > -1.0},
+    )  # fmt: skip
+    env = rb.envs.Environment(task)
+    _, state = env.reset(jax.random.key(0))
+    problem = env.problem(3)
+    due = 7.0 * env.dt
+    cost = jax.jit(lambda a: cost_of(problem, state, a))(jnp.zeros((3, 1)))
+    np.testing.assert_allclose(cost, 3 * due)
+    pair = problem.system.checked("test", state)
+    pair = jax.jit(lambda u: problem.system.step(0.0, pair, u, env.dt))(jnp.zeros(1))
+    motion = dataclasses.replace(pair.now.state, v=jnp.array([jnp.nan, 0.0]))
+    broken = pair._replace(now=dataclasses.replace(pair.now, state=motion))
+    term = MinusReward(problem.system)
+    np.testing.assert_allclose(term(problem.system.model, 0.0, pair, jnp.zeros(1)), due)
+    assert term(problem.system.model, 0.0, broken, jnp.zeros(1)) == jnp.inf
 
 
 def test_coordinates_are_those_that_rewards_read():

@@ -32,5 +32,9 @@ def test_bad_arguments():
         rb.envs.rough_ground(XML, floor="ground")
     with pytest.raises(rb.InputError, match="height"):
         rb.envs.rough_ground(XML, height=0.0)
+    with pytest.raises(rb.ModelError, match=r"not well-formed XML .*read_text"):
+        rb.envs.rough_ground("robot.xml")
+    with pytest.raises(rb.InputError, match="seed"):
+        rb.envs.rough_ground(XML, seed=-1)
     with pytest.raises(rb.InputError, match="points"):
         rb.envs.rough_ground(XML, points=1)

@@ -79,8 +79,8 @@ def go1_joystick_rough(
 ) -> Task:
     """Return the task of a Go1 that follows a velocity command on rough ground.
 
-    The ground is a height field of 20 m by 20 m with independent uniform heights at 256 by 256
-    points.
+    The ground is a height field of 20 m by 20 m with random heights at 256 by 256 points
+    (`rb.envs.rough_ground`).
 
     Args:
         pushes, randomise, iterations: as `go1_joystick_flat`.

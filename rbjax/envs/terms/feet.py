@@ -5,7 +5,7 @@
     last_contact (n,)   whether each foot touched after the last step
     air_time (n,)       s, since the last contact, this step included
     swing_peak (n,)     m, the greatest height of the site since the last contact
-A foot lands in a step if it touches now or touched before, and was in the air. The terms are sums
+A foot lands in a step if it touches now and did not touch after the step before. The terms are sums
 over feet. h is the height of a site, v its velocity in world axes.
 
 Source of the terms: Zakka et al., *MuJoCo Playground*, 2025, locomotion tasks.
@@ -89,7 +89,7 @@ class Feet:
     def landing(self, t: Any) -> jax.Array:
         """Return whether each foot (n,) lands in this step."""
         flew = t.variables["air_time"] > 1.5 * t.dt  # before this step more than zero
-        return flew & (self.contact(t) | (t.variables["last_contact"] > 0))
+        return flew & self.contact(t)
 
     def slip(self, t: Any) -> jax.Array:
         """Return the sum of |v_xy|^2 of the feet in contact, zero without a command."""

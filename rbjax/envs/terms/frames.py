@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
 from rbjax.lanes import Lane, safe_sqrt, total
 from rbjax.sensors.actuators import actuator_force
@@ -55,6 +56,12 @@ def hinges(values: jax.Array, count: int) -> jax.Array:
 
 def actuator_forces(context: Context) -> jax.Array:
     """Return the scalar forces (nu,) of all actuators, within their ranges."""
+
+    if not context.model.nu:
+        raise InputError(
+            "forces of actuators: the robot has no actuators, expected one or more; leave out "
+            "terms of forces and power, or add actuators to the file"
+        )
 
     def found() -> jax.Array:
         names = range(context.model.nu)

@@ -59,10 +59,12 @@ def two_foot_loads(context: Context, feet: Feet, floor: float = 0.0) -> jax.Arra
     return jnp.where(one | other, jnp.stack([fz - second, second]), 0.0)
 
 
-def excess_load(feet: Feet, most: float) -> Term:
-    """Return the term: sum of max(f - most, 0) of the vertical forces f on two feet, N."""
+def excess_load(feet: Feet, most: float, floor: float = 0.0) -> Term:
+    """Return the term: sum of max(f - most, 0) of the vertical forces f on two feet, N.
+
+    floor: height of the floor, m."""
 
     def read(t: Any) -> jax.Array:
-        return jnp.maximum(two_foot_loads(t.after, feet) - most, 0.0).sum()
+        return jnp.maximum(two_foot_loads(t.after, feet, floor) - most, 0.0).sum()
 
     return read

@@ -23,7 +23,7 @@ def velocity_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...]
     Args:
         dt: control step, s.
         name: name of the event. Its values are `name_time` (2,), s, and `name_speed` (2,), m/s, the
-            ranges of uniform distributions.
+            ranges of uniform distributions. A time below one control step is one control step.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, G1 joystick.
 
@@ -35,7 +35,7 @@ def velocity_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...]
     """
 
     def steps(key: Any, params: Any) -> jax.Array:
-        return jnp.round(_uniform(key, params.values[f"{name}_time"]) / dt)
+        return jnp.maximum(jnp.round(_uniform(key, params.values[f"{name}_time"]) / dt), 1.0)
 
     def apply(key: Any, state: Any, params: Any) -> Any:
         keys = jax.random.split(key)
@@ -53,11 +53,13 @@ def force_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...], E
     A force of random direction begins after a waiting time W and lasts a time D. It accelerates the
     robot by a(t) = sin(pi t / D) s / (2 D), as the force m a(t) at the center of mass does, in the
     form of one change of the velocity of the base a control step. W, D and s are drawn at a reset.
+    For small control steps the velocity changes by s / pi in a push.
 
     Args:
         dt: control step, s.
         name: name of the event. Its values are `name_wait`, `name_duration` (2,), s, and
-            `name_speed` (2,), m/s, the ranges of uniform distributions. A speed of zero is no push.
+            `name_speed` (2,), m/s, the ranges of uniform distributions. A speed or a duration of
+            zero is no push.
 
     The variable `name` (3,) is the acceleration in world axes, m/s^2.
 
@@ -87,8 +89,9 @@ def force_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...], E
         time = (clock - jnp.round(wait)) * dt
         ends = time > duration
         angle = jnp.where(clock + 1 >= jnp.round(wait), angle, _uniform(key, (0.0, 2 * math.pi)))
-        a = jnp.sin(math.pi * time / duration) * old[f"{name}_speed"] / (2 * duration)
-        a = jnp.where(begins & ~ends, a, 0.0)
+        lasting = jnp.where(duration > 0, duration, 1.0)
+        a = jnp.sin(math.pi * time / lasting) * old[f"{name}_speed"] / (2 * lasting)
+        a = jnp.where(begins & ~ends & (duration > 0), a, 0.0)
         c, s = jnp.cos(angle), jnp.sin(angle)
         new = {
             f"{name}_clock": jnp.where(ends & begins, 0.0, clock + 1),

@@ -109,7 +109,12 @@ def tolerance(
     if _known(margin) and margin == 0:
         return jnp.where((low <= x) & (x <= high), jnp.ones_like(x), 0.0)
     d = jnp.maximum(jnp.maximum(low - x, x - high), 0.0)
-    return shape.value(d * (shape.scale(value_at_margin) / margin))
+    if _known(margin):
+        return shape.value(d * (shape.scale(value_at_margin) / margin))
+    wide = margin > 0
+    found = shape.value(d * (shape.scale(value_at_margin) / jnp.where(wide, margin, 1.0)))
+    inside = jnp.where((low <= x) & (x <= high), jnp.ones_like(x), 0.0)
+    return jnp.where(wide, found, inside)
 
 
 def _known(x: Any) -> bool:

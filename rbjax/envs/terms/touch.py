@@ -21,6 +21,7 @@ from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.detection import chosen_pairs
 from rbjax.contact.geometry.shapes import Shape, geom_shape
 from rbjax.envs.terms.frames import Term, scalar
+from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, total
 
@@ -63,6 +64,11 @@ def touching_at(
     context: Context, pairs: Sequence[tuple[str, str]], reach: float = 0.0
 ) -> jax.Array:
     """Return whether the two geoms of each pair (n,) touch at an instant."""
+    if not pairs:
+        raise InputError(
+            "touching: pairs is empty, expected one or more pairs of names of geoms, such as "
+            '[("left_foot", "floor")]'
+        )
     known: dict[Any, Any] = context.once(touching_at, dict)
     model: Any = context.model
     for names in pairs:

@@ -23,16 +23,16 @@ class Episode(Record):
     variables: dict
 
 
-def run(made, steps):
+def run(made, steps, params=PARAMS):
     """Velocities after each step of a robot on which only pushes act, and the variables."""
     variables, event = made
     start = {
-        v.name: jnp.asarray(v.start(jax.random.key(k), PARAMS)) for k, v in enumerate(variables)
+        v.name: jnp.asarray(v.start(jax.random.key(k), params)) for k, v in enumerate(variables)
     }
     state = Episode(rb.State(jnp.zeros(7), jnp.zeros(6)), jnp.int32(0), start)
 
     def one(state, key):
-        state = event.apply(key, state, PARAMS)
+        state = event.apply(key, state, params)
         state = state.replace(step=state.step + 1)
         return state, (state.state.v, state.variables)
 
@@ -66,3 +66,11 @@ def test_force_pushes():
     assert len(starts) >= 3 and np.ptp(np.diff(starts)) == 0
     angles = np.arctan2(*change[starts + 1, 1::-1].T)
     assert np.ptp(angles) > 0.1  # each push has its own direction
+
+
+def test_times_of_zero():
+    params = SimpleNamespace(values=VALUES | {"push_time": [0.0, 0.0], "push_duration": [0.0, 0.0]})
+    v, _ = run(terms.velocity_pushes(0.02), 4, params)
+    assert (np.diff(np.linalg.norm(v, axis=1)) != 0).all()  # a push in each control step
+    v, path = run(terms.force_pushes(0.02), 60, params)
+    assert (v == 0).all() and (path["push"] == 0).all()  # no push

@@ -85,6 +85,14 @@ def test_bounds_and_margin_can_be_traced():
     np.testing.assert_allclose(found, oracle(0.5, (1.0, np.inf), 0.25, "gaussian", 0.1), rtol=1e-14)
 
 
+def test_a_traced_margin_of_zero():
+    x = jnp.array([-0.1, 0.0, 0.3])
+    found = jax.jit(lambda m: tolerance(x, (0.0, 0.2), m, "linear"))(0.0)
+    np.testing.assert_array_equal(found, [0, 1, 0])
+    slope = jax.grad(lambda x, m: tolerance(x, (0.0, 0.2), m))
+    assert jax.jit(slope)(0.3, 0.0) == 0
+
+
 def test_bad_arguments():
     with pytest.raises(InputError, match=r"lower <= upper; exchange"):
         tolerance(0.0, (2, 1))

@@ -127,7 +127,7 @@ def by_numpy(mj, d, r):
     feet = [site(mj, d, "site", name) for name in ("left", "right")]
     z, speed = np.array([x[0][2] for x in feet]), np.array([np.hypot(*x[2][:2]) for x in feet])
     touch = z < 0.05
-    landing = (r["air_time"] > 0.03) & (touch | (r["last_contact"] > 0))
+    landing = (r["air_time"] > 0.03) & touch
     q = d.qpos[7:]
     return {
         "track_velocity": np.exp(-np.sum((c[:2] - (R.T @ v)[:2]) ** 2) / 0.25),

@@ -7,6 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.contact.geometry.shapes import Shape
+from rbjax.envs.terms.frames import actuator_forces
 from rbjax.envs.terms.touch import box_separation, touching_at
 from rbjax.forces import Context
 from rbjax.lanes import Mat3, Vec3
@@ -77,8 +78,16 @@ def test_separation_of_parallel_boxes():
     assert np.isclose(box_separation(one, other), 0.3, atol=1e-15)
 
 
-def test_an_unknown_geom():
+def test_pairs_that_are_not_there():
     model = rb.load(XML)
     context = Context.of(model, 0.0, model.default_state(), None)
     with pytest.raises(rb.errors.UnknownName, match="wall"):
         touching_at(context, [("ball", "wall")])
+    with pytest.raises(rb.InputError, match="pairs is empty, expected"):
+        touching_at(context, [])
+
+
+def test_forces_of_a_robot_without_actuators():
+    model = rb.load(XML)
+    with pytest.raises(rb.InputError, match="the robot has no actuators"):
+        actuator_forces(Context.of(model, 0.0, model.default_state(), None))
