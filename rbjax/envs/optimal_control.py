@@ -10,8 +10,9 @@ later rewards depend.
 
 The problem is deterministic. Left out are events, noise, delays and the randomisation of the model.
 The motion goes on after a termination, and a reward that reads `terminated` is paid in each step in
-which a termination is true. The cost of a state that is not finite is infinite. Variables keep their values if their `update` draws random numbers (a command
-that changes at random), and are updated otherwise (the phase of a gait).
+which a termination is true. The cost of a state that is not finite is infinite. Variables keep
+their values if their `update` draws random numbers (a command that changes at random), and are
+updated otherwise (the phase of a gait).
 """
 
 from __future__ import annotations
