@@ -16,6 +16,28 @@ from rbjax.envs.episode import EnvState, Params
 from rbjax.model import Model
 
 
+def action_center_and_scale(low: Any, high: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the map of -1..1 to the range of an action: a = center + scale * x.
+
+    Args:
+        low, high: limits of an action, each (na,); infinite for none.
+
+    Returns:
+        limited: whether an entry has both limits, (na,).
+        center, scale: (low + high) / 2 and (high - low) / 2, each (na,); 0 and 1 without limits.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.envs.actions import action_center_and_scale
+        >>> _, center, scale = action_center_and_scale(jnp.array([2.0]), jnp.array([6.0]))
+        >>> float(center[0]), float(scale[0])
+        (4.0, 2.0)
+    """
+    limited = jnp.isfinite(high - low)
+    center = jnp.where(limited, 0.5 * (low + high), 0.0)
+    return limited, center, jnp.where(limited, 0.5 * (high - low), 1.0)
+
+
 @dataclass(frozen=True)
 class Direct:
     """The action is the controls, clipped to their ranges.
@@ -63,10 +85,8 @@ class Scaled:
     def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
         """Compute the controls (nu,)."""
         low, high = jnp.asarray(params.model.actuators.ctrlrange, action.dtype).T
-        limited = jnp.isfinite(high - low)
-        mid = jnp.where(limited, 0.5 * (low + high), 0.0)
-        half = jnp.where(limited, 0.5 * (high - low), 1.0)
-        return mid + half * jnp.clip(action, -1.0, 1.0)
+        _, center, scale = action_center_and_scale(low, high)
+        return center + scale * jnp.clip(action, -1.0, 1.0)
 
 
 @dataclass(frozen=True)

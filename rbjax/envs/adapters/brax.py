@@ -2,7 +2,7 @@
 
 `to_brax` makes a `brax.envs.Env` of one sample. The trainers wrap it for a batch; `wrap_brax` is
 the wrapper to give them. It resets within the step, to a new initial state, where the wrappers of
-Brax return to the first one. A step of a batch is one kernel.
+Brax return to the first one. A step of a batch is one kernel, or three if the robot has contacts.
 Observations: the group "policy" is "state", the group "critic" is "privileged_state".
 Actions: Brax acts in -1..1; actions are scaled to the range of the environment.
 """
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
+from rbjax.envs.actions import action_center_and_scale
 from rbjax.envs.adapters.gymnasium import finite
 from rbjax.envs.adapters.packages import check_environment, require
 from rbjax.envs.environment import Environment
@@ -41,11 +42,13 @@ def to_brax(
     Args:
         environment: an `rb.envs.Environment`.
         params: parameters; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
         privileged: whether observations have all groups of the task. False: the group "policy"
             only, as SAC and APG expect.
 
     Returns:
-        A `brax.envs.Env`. `metrics` has the reward terms, "reward/name".
+        A `brax.envs.Env`. `metrics` has the reward terms, "reward/name", and "failed", 1 if the
+        state is not finite. The terms are weighted but not multiplied by dt, unlike the reward.
 
     Raises:
         InputError: Brax is not installed, or not an environment.
@@ -119,10 +122,6 @@ def _classes() -> tuple[type, type]:
 
         def __init__(self, environment: Environment, params: Params | None, privileged: bool):
             self.environment, self.params, self.privileged = environment, params, privileged
-            low, high = (np.asarray(x, float) for x in environment.action_range)
-            limited = np.isfinite(high - low)
-            self._middle = np.where(limited, (low + high) / 2, 0.0)
-            self._half = np.where(limited, (high - low) / 2, 1.0)
 
         @property
         def sys(self) -> Any:
@@ -156,19 +155,22 @@ def _classes() -> tuple[type, type]:
 
         def scaled(self, action: jax.Array) -> jax.Array:
             """Return an action in the range of the environment."""
-            middle, half = (jnp.asarray(x, action.dtype) for x in (self._middle, self._half))
-            return middle + half * action
+            low, high = (jnp.asarray(x, action.dtype) for x in self.environment.action_range)
+            _, center, scale = action_center_and_scale(low, high)
+            return center + scale * action
 
         def metrics(self, info: dict[str, Any] | None, zero: jax.Array) -> dict[str, jax.Array]:
-            """Return the reward terms of a step; zeros for None."""
+            """Return the reward terms of a step, and whether it failed; zeros for None."""
             names = [r.name for r in self.environment.task.rewards]
-            return {
-                f"reward/{name}": zero if info is None else info["rewards"][name].astype(zero.dtype)
-                for name in names
-            }
+            if info is None:
+                return {f"reward/{name}": zero for name in names} | {"failed": zero}
+            found = {f"reward/{name}": info["rewards"][name] for name in names}
+            found["failed"] = info["failed"]
+            return {name: x.astype(zero.dtype) for name, x in found.items()}
 
         def reset(self, rng: jax.Array) -> State:
-            obs, state = self.environment.reset(rng, self.params)
+            rng, key = jax.random.split(rng)
+            obs, state = self.environment.reset(key, self.params)
             zero = jnp.zeros_like(state.total)
             return State(
                 state, self.renamed(obs), zero, zero, self.metrics(None, zero), {"rng": rng}
@@ -228,11 +230,12 @@ def _classes() -> tuple[type, type]:
             return jax.vmap(f, (*(0 for _ in own), self._axes))(*own, self.params)
 
         def reset(self, rng: jax.Array) -> State:
-            obs, state = self._map(self.environment.reset, rng)
+            keys = jax.vmap(jax.random.split)(rng)
+            obs, state = self._map(self.environment.reset, keys[:, 1])
             zero = jnp.zeros_like(state.total)
             metrics = self.env.metrics(None, zero)
             info = {
-                "rng": rng, "steps": zero, "truncation": zero, "time_out": zero,
+                "rng": keys[:, 0], "steps": zero, "truncation": zero, "time_out": zero,
                 "episode_done": zero,
                 "episode_metrics": {"sum_reward": zero, "length": zero, **metrics},
             }  # fmt: skip

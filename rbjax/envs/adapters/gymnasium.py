@@ -44,6 +44,7 @@ def to_gymnasium(environment: Environment, params: Params | None = None) -> Any:
     Args:
         environment: an `rb.envs.Environment`.
         params: parameters; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
 
     Returns:
         A `gymnasium.Env`. `info` has "failed" and "rewards" (name -> reward term). It has an
@@ -80,6 +81,7 @@ def to_gymnasium_vector(
         environment: an `rb.envs.Environment`.
         num_envs: number of environments of the batch.
         params: parameters; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
         autoreset: when an environment whose episode ended is reset, as in Gymnasium:
             "next_step": the next call of `step` resets it, and ignores its action.
             "same_step": the same call; `info["final_obs"]` has the last observation.
@@ -118,6 +120,7 @@ def to_gymnasium_functional(environment: Environment, params: Params | None = No
     Args:
         environment: an `rb.envs.Environment`.
         params: parameters; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
 
     Raises:
         InputError: Gymnasium is not installed, or not an environment.

@@ -25,7 +25,7 @@ class GymnaxParams(Record):
 
     params: `Params` of the environment.
     max_steps_in_episode: control steps after which an episode is truncated; at most those of the
-        task.
+        task. The steps of `to_rejax` do not read it: their episodes have those of the task.
 
     Example:
         >>> import rbjax as rb
@@ -44,6 +44,7 @@ def to_gymnax(environment: Environment, params: Params | None = None) -> Any:
     Args:
         environment: an `rb.envs.Environment`.
         params: parameters in `default_params`; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
 
     Returns:
         A `gymnax.environments.environment.Environment`. Its state is an `EnvState`, its parameters
@@ -73,11 +74,15 @@ def to_rejax(environment: Environment, params: Params | None = None) -> Any:
     """Return an environment for the algorithms of rejax 0.1.
 
     Use it as `rejax.get_algo("ppo").create(env=to_rejax(env), ...)`. A step of a batch is one
-    kernel. The group "policy" is the observation.
+    kernel, or three if the robot has contacts. The group "policy" is the observation. An episode
+    is truncated after `environment.episode` steps, whatever `max_steps_in_episode` is; rejax
+    limits its own evaluations by it. rejax knows one flag, done = terminated | truncated: its
+    value functions do not bootstrap at truncations.
 
     Args:
         environment: an `rb.envs.Environment`.
         params: parameters in `default_params`; None for `environment.default_params`.
+            `Task.curriculum` is not applied.
 
     Returns:
         As `to_gymnax`, but a step returns (obs, state, reward, done, info).

@@ -1,7 +1,8 @@
 """rsl-rl: a `VecEnv` with PyTorch tensors.
 
 JAX and PyTorch share the memory of observations, rewards and actions (DLPack), on a GPU and on the
-processor: nothing is copied. A step is one kernel, with the reset of ended episodes.
+processor: nothing is copied. A step is one kernel, or three if
+the robot has contacts, with the reset of ended episodes.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ def to_rsl_rl(
     Args:
         environment: an `rb.envs.Environment`.
         num_envs: number of environments of the batch.
-        params: parameters; None for `environment.default_params`. The attribute `params` may be
-            set between steps, for a curriculum.
+        params: parameters; None for `environment.default_params`. `Task.curriculum` is
+            not applied; the attribute `params` may be set between steps instead.
         seed: seed of the random numbers.
 
     Returns:

@@ -10,25 +10,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
+from rbjax.envs.actions import action_center_and_scale
 from rbjax.envs.learning.critic import Critic
 from rbjax.envs.learning.networks import Network, Normaliser
 from rbjax.envs.learning.policy import Policy
 
 
-def finite_range(env: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the action range of an environment, with -1..1 for actions without limits."""
-    low, high = (np.asarray(x, np.float32) for x in env.action_range)
-    limited = np.isfinite(high - low)
-    return np.where(limited, low, -1.0), np.where(limited, high, 1.0)
-
-
 def convert_policy(env: Any, parameters: Any) -> Policy:
     """Convert Brax' parameters (statistics, policy, value) to a `Policy` with the same actions."""
-    low, high = (jnp.asarray(x) for x in finite_range(env))
+    low, high = (jnp.asarray(x, jnp.float32) for x in env.action_range)
+    _, center, scale = action_center_and_scale(low, high)
+    statistics = convert_statistics(parameters[0], "state")
     net = convert_network(parameters[1])
-    return Policy(net, convert_statistics(parameters[0], "state"), None, low, high)
+    return Policy(net, statistics, None, center - scale, center + scale)
 
 
 def convert_critic(parameters: Any, group: str, factor: float) -> Critic:

@@ -34,7 +34,7 @@ def save_policy(
     """Write a policy to a folder, with the name of its task.
 
     Args:
-        path: the folder. An earlier checkpoint there is replaced.
+        path: the folder. An earlier checkpoint there is replaced when the new one is written.
         policy: a `Policy` whose network is a `Network`.
         task: name of the task, as for `rb.envs.make`.
         options: options of the task.
@@ -86,9 +86,17 @@ def save_policy(
         raise InputError(f"save_policy: options or settings are not plain data: {error}") from error
     checkpointer = _orbax("save_policy")
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(folder / "parameters", ignore_errors=True)
-    checkpointer.save(folder / "parameters", _arrays(policy))
-    (folder / "policy.json").write_text(text + "\n")
+    # the earlier checkpoint stays until the new one is complete
+    new, old, current = (folder / f"parameters{end}" for end in (".new", ".old", ""))
+    for rest in (new, old):
+        shutil.rmtree(rest, ignore_errors=True)
+    checkpointer.save(new, _arrays(policy))
+    (folder / "policy.json.new").write_text(text + "\n")
+    if current.exists():
+        current.rename(old)
+    new.rename(current)
+    (folder / "policy.json.new").replace(folder / "policy.json")
+    shutil.rmtree(old, ignore_errors=True)
     return folder
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import instance, integer, real_number
 from rbjax.envs.environment import Environment
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
@@ -23,3 +23,16 @@ def check_training(
         )
     integer(where, "iterations", iterations, least=1)
     integer(where, "batch", batch, least=1)
+
+
+def check_discount(where: str, name: str, discount: Any) -> None:
+    """Raise InputError unless a discount is in 0 <= g < 1.
+
+    A value is (1 - g) sum g^k r_k, which is zero for g = 1.
+    """
+    real_number(where, name, discount, least=0.0, most=1.0)
+    if discount >= 1:
+        raise InputError(
+            f"{where}: {name} is {discount}, expected at least 0 and below 1, because rewards have "
+            f"the factor 1 - {name}; 0.99 counts about 100 steps"
+        )

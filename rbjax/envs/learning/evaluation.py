@@ -37,7 +37,8 @@ def evaluate(
 
     Args:
         env: `rb.envs.Environment`.
-        policy: a `Policy`, or a function (obs, key) that returns an action.
+        policy: a `Policy`, or a function (obs, key) that returns an action; key is None if noise
+            is False.
         key: of `jax.random`.
         episodes: number of episodes, simulated at the same time.
         noise: whether the policy draws its actions; False for the mean actions.

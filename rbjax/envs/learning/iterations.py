@@ -93,7 +93,8 @@ def run_iterations(
         layout: a tree prefix of the state: `EACH` for arrays that are split over the devices by
             their first axis, `SAME` for arrays that all devices have.
         devices: where to run.
-        chunks: number of programs one after the other, each with a report.
+        chunks: largest number of programs one after the other, each with a report. They have equal
+            lengths but for the last one, which may be shorter and is then compiled, too.
         report: function (iterations so far, state, figures of the chunk).
         seconds: limit of time; the training ends with the chunk that crosses it.
 
@@ -103,11 +104,10 @@ def run_iterations(
     started = time.perf_counter()
     quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
-    most = max(1, iterations // chunks)
-    length = max(n for n in range(1, most + 1) if iterations % n == 0)
+    length = -(-iterations // chunks)
 
-    def several(state: Any, first: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
-        return jax.lax.scan(turn, state, first + jnp.arange(length))
+    def several(state: Any, numbers: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+        return jax.lax.scan(turn, state, numbers)
 
     with contextlib.ExitStack() as stack:
         stack.enter_context(fast_compile(quick))
@@ -123,9 +123,10 @@ def run_iterations(
         rows: list[dict[str, np.ndarray]] = []
         done = 0
         while done < iterations:
-            state, figures = run(state, jnp.asarray(done))
+            last = min(done + length, iterations)
+            state, figures = run(state, jnp.arange(done, last))
             rows.append(jax.tree.map(np.asarray, figures))
-            done += length
+            done = last
             report(done, state, rows[-1])
             if seconds is not None and time.perf_counter() - started > seconds:
                 break

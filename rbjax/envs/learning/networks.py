@@ -24,7 +24,7 @@ ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "silu": jax.nn.silu,
 }
 LEAST_STD = 1e-3  # a constant observation is not magnified further
-HUGE = 1e6  # observations of episodes that fail; they are left out of the statistics
+HUGE = 1e6  # entries from here on, as of episodes that fail, count as the mean in the statistics
 
 
 class Network(Record):
@@ -124,6 +124,9 @@ class Normaliser(Record):
     def include(self, x: jax.Array, mean: Callable = lambda x: x, parts: int = 1) -> Normaliser:
         """Return the statistics with further observations (..., n).
 
+        Entries that are not finite, or not below 1e6 in magnitude, count as the present mean. The
+        standard deviation of a single observation is left as it was.
+
         mean: the mean of a value over the devices that share the batch. parts: their number.
 
             mean' = mean + w d,  var' = (1 - w) var + w E[(x - mean)^2] - (w d)^2,  w = m / (k + m)
@@ -133,8 +136,10 @@ class Normaliser(Record):
         d, square = mean((off.mean(0), (off * off).mean(0)))
         count = self.count + len(x) * parts
         w = len(x) * parts / count
-        variance = (1 - w) * self.std**2 + w * square - (w * d) ** 2
+        before = jnp.where(self.count > 1, self.std**2, 0.0)  # one observation has no variance
+        variance = (1 - w) * before + w * square - (w * d) ** 2
         std = jnp.sqrt(jnp.maximum(variance, LEAST_STD**2))
+        std = jnp.where(count > 1, std, self.std)
         return Normaliser(self.mean + w * d, std, count, self.limit)
 
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.envs.actions import action_center_and_scale
 from rbjax.envs.learning.networks import Normaliser, network, normaliser
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -65,10 +66,8 @@ class Policy(Record):
         return self.replace(normaliser=self.normaliser.include(policy_group(obs), mean, parts))
 
     def _into_range(self, y: jax.Array) -> jax.Array:
-        mid, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
-        limited = jnp.isfinite(half)
-        mid, half = jnp.where(limited, mid, 0.0), jnp.where(limited, half, 1.0)
-        return jnp.where(limited, mid + half * jnp.tanh(y), y)
+        limited, center, scale = action_center_and_scale(self.low, self.high)
+        return jnp.where(limited, center + scale * jnp.tanh(y), y)
 
 
 def policy_group(obs: Any) -> jax.Array:

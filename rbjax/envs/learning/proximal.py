@@ -22,7 +22,7 @@ import numpy as np
 from rbjax.arguments import integer
 from rbjax.envs.adapters import to_brax, wrap_brax
 from rbjax.envs.learning.brax_networks import convert_critic, convert_policy
-from rbjax.envs.learning.checks import check_training
+from rbjax.envs.learning.checks import check_discount, check_training
 from rbjax.envs.learning.critic import Critic
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.learning.trained import Report, Trained, no_report
@@ -48,6 +48,7 @@ def ppo(
     evaluations: int = 128,
     report: Report = no_report,
     seconds: float | None = None,
+    params: Any = None,
     restore: Any = None,
     keep: Callable[[dict[str, Any]], None] = lambda parameters: None,
     **settings: Any,
@@ -62,13 +63,15 @@ def ppo(
         steps: steps of the robot in the training, at least.
         num_envs: number of parallel samples.
         policy_hidden, value_hidden: sizes of the hidden layers.
-        discounting: g of a step.
+        discounting: g of a step, below 1.
         reward_scaling: factor of the rewards inside PPO.
         devices: number of devices that share the samples; None for one.
         reports: number of evaluations during the training, each with a report.
         evaluations: number of episodes of an evaluation.
         report: function (steps so far, figures, policy), called after each evaluation.
         seconds: limit of time, after which the training ends with the next report; None for none.
+        params: parameters of the environment for the whole training; None for
+            `env.default_params`. Brax does not apply `Task.curriculum`.
         restore: Brax' parameters of an earlier training, to continue from; None for none.
         keep: function that is given {"parameters": Brax' parameters} before each report.
         settings: further arguments of `brax.training.agents.ppo.train.train`, such as
@@ -79,7 +82,8 @@ def ppo(
         `Trained`; `rewards` are the returns of the evaluations.
 
     Raises:
-        InputError: Brax is not installed, or settings that do not fit each other.
+        InputError: Brax is not installed, settings that do not fit each other, or a task with a
+            curriculum without `params`.
 
     Source: Schulman et al., *Proximal policy optimization algorithms*, 2017.
 
@@ -91,13 +95,20 @@ def ppo(
     check_training("ppo", env, key, 1, num_envs, None)
     integer("ppo", "steps", steps, least=1)
     integer("ppo", "reports", reports, least=1)
+    check_discount("ppo", "discounting", discounting)
+    if env.task.curriculum is not None and params is None:
+        raise InputError(
+            f"ppo: task {env.task.name!r} has a curriculum, expected none, because Brax does not "
+            "apply it; use rb.envs.learning.shac, or pass the parameters of the whole training, "
+            "such as params=env.default_params"
+        )
     batch = settings.get("batch_size", 32) * settings.get("num_minibatches", 16)
     if batch % num_envs:
         raise InputError(
             f"ppo: batch_size * num_minibatches is {batch}, expected a multiple of num_envs, "
             f"{num_envs}"
         )
-    brax_env = to_brax(env)
+    brax_env = to_brax(env, params)
     from brax.training.agents.ppo.networks import make_ppo_networks
     from brax.training.agents.ppo.train import train as brax_train
 
@@ -151,7 +162,8 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, float]:
     """Return the figures of an evaluation by Brax as one row.
 
     "reward", "reward_std": return of an episode, its mean and standard deviation. "length": steps
-    of an episode. "reward/NAME": mean sum of a reward term. "training/NAME": of PPO.
+    of an episode. "reward/NAME": mean sum of a weighted reward term, not multiplied by dt.
+    "failed": share of the episodes that a state that is not finite ended. "training/NAME": of PPO.
     """
     named = {
         "reward": metrics.get("eval/episode_reward", np.nan),
@@ -161,7 +173,7 @@ def figures_of(metrics: Mapping[str, Any]) -> dict[str, float]:
     for name, x in metrics.items():
         if name.startswith("eval/episode_") and not name.endswith("_std"):
             term = name.removeprefix("eval/episode_")
-            named |= {term: x} if term.startswith("reward/") else {}
+            named |= {term: x} if term.startswith("reward/") or term == "failed" else {}
         elif name.startswith("training/"):
             named[name] = x
     return {name: float(x) for name, x in named.items()}

@@ -85,6 +85,12 @@ def move_samples(
     return jax.lax.stop_gradient(after), path
 
 
+def at_progress(env: Any, params: Any, progress: Any) -> Any:
+    """Return the parameters at a progress in 0..1 of the training, by the task's curriculum."""
+    curriculum = env.task.curriculum
+    return params if curriculum is None else curriculum(params, progress)
+
+
 def figures_of(path: Path, parts: int) -> dict[str, jax.Array]:
     """Return sums over the batch of a device; "reward" is its mean, divided by the devices."""
     return {

@@ -19,14 +19,21 @@ import jax.numpy as jnp
 import optax
 
 from rbjax.arguments import integer, real_number
-from rbjax.envs.learning.checks import check_training
+from rbjax.envs.learning.checks import check_discount, check_training
 from rbjax.envs.learning.critic import fit_critic, follow, new_critic, weights_of
 from rbjax.envs.learning.iterations import EACH, SAME, devices_of, over_devices, run_iterations
 from rbjax.envs.learning.policy import as_policy, new_policy, split_policy
-from rbjax.envs.learning.samples import Samples, draw_samples, figures_of, move_samples
+from rbjax.envs.learning.samples import (
+    Samples,
+    at_progress,
+    draw_samples,
+    figures_of,
+    move_samples,
+)
 from rbjax.envs.learning.targets import objective, value_targets
 from rbjax.envs.learning.trained import Report, Trained, no_report, summary_of
 from rbjax.envs.learning.updates import apply_update, falling_rate, policy_optimiser
+from rbjax.errors import InputError
 
 
 class Training(NamedTuple):
@@ -84,13 +91,13 @@ def shac(
         iterations: number of updates of the policy.
         batch: number of parallel samples.
         horizon: h, the number of steps of a sample in an iteration.
-        discount: g of a step.
+        discount: g of a step, below 1.
         trace: l of the targets of the value function, TD(l).
         rate, critic_rate: initial learning rates of Adam, with cosine decay to a tenth.
         critic_steps: updates of the value function in an iteration, each on the whole batch.
         slow: the update of V' in an iteration is V' + slow (V - V').
-        warm_up: iterations at the beginning that update the value function only. Use it if the
-            policy is already trained.
+        warm_up: iterations at the beginning that update the value function only, fewer than all.
+            Use it if the policy is already trained.
         slope_limit: limit of the norm of the gradient of a sample with respect to its state and
             action, in each step of the horizon, relative to an equal share of the objective; None
             for none. Use 0.1 or less for legged robots: a few samples with hard impacts have
@@ -99,7 +106,8 @@ def shac(
         std: noise of a new policy, the standard deviation before tanh; None for no noise.
         optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients
             clipped to norm 1.
-        params: parameters of the environment; None for `env.default_params`.
+        params: parameters of the environment, which `Task.curriculum` changes over the training;
+            None for `env.default_params`.
         devices: number of devices, or a list of them, that share the batch; None for one.
         reports: number of reports.
         report: function (steps so far, figures, policy), called for each report.
@@ -129,7 +137,13 @@ def shac(
     integer(where, "critic_steps", critic_steps, least=0)
     integer(where, "warm_up", warm_up, least=0)
     integer(where, "reports", reports, least=1)
-    for name, x in (("discount", discount), ("trace", trace), ("slow", slow)):
+    if warm_up >= iterations:
+        raise InputError(
+            f"shac: warm_up is {warm_up}, expected less than iterations, {iterations}; else the "
+            "policy is never updated"
+        )
+    check_discount(where, "discount", discount)
+    for name, x in (("trace", trace), ("slow", slow)):
         real_number(where, name, x, least=0.0, most=1.0)
     for name, x in (("rate", rate), ("critic_rate", critic_rate)):
         real_number(where, name, x, above=0.0)
@@ -146,11 +160,10 @@ def shac(
     if optimiser is None:
         optimiser = policy_optimiser(rate, iterations)
     fitter = optax.flatten(optax.adam(falling_rate(critic_rate, iterations * max(1, critic_steps))))
-    curriculum = env.task.curriculum
     given, static = eqx.partition((policy, critic), eqx.is_array)
 
     def params_at(k: jax.Array) -> Any:
-        return params if curriculum is None else curriculum(params, k / iterations)
+        return at_progress(env, params, k / iterations)
 
     def turn(now: Training, k: jax.Array) -> tuple[Training, dict[str, jax.Array]]:
         key, other = jax.random.split(now.key)

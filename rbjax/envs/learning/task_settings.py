@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 
+from rbjax.envs.registry import tasks
 from rbjax.errors import UnknownName
 
 ALGORITHMS = ("ppo", "shac")
@@ -43,12 +44,16 @@ PANDA = {
     "policy_hidden": (32,) * 4, "value_hidden": (32,) * 4,
 }  # fmt: skip
 #: for a core of a CPU: small networks and few samples
-CPU_PPO = {
+FEW: dict[str, Any] = {
     "steps": 600_000, "num_envs": 64, "unroll_length": 16, "batch_size": 64,
-    "num_minibatches": 4, "num_updates_per_batch": 16, "discounting": 0.98,
-    "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0, "max_grad_norm": 1.0,
-    "reports": 3, "policy_hidden": (32, 32), "value_hidden": (64, 64),
+    "num_minibatches": 4, "num_updates_per_batch": 16, "reports": 3, "policy_hidden": (32, 32),
+    "value_hidden": (64, 64),
 }  # fmt: skip
+CPU_PPO = FEW | {
+    "discounting": 0.98, "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0,
+    "max_grad_norm": 1.0,
+}  # fmt: skip
+CPU_BATCH = 64  # of SHAC
 
 #: SHAC: arguments of `rbjax.envs.learning.shac`; steps = iterations * batch * horizon
 SHAC: dict[str, Any] = {
@@ -78,19 +83,23 @@ TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
 }
 
 
-def settings(task: str, algorithm: str = "ppo", backend: str | None = None) -> dict[str, Any]:
+def settings(
+    task: str | None, algorithm: str = "ppo", backend: str | None = None
+) -> dict[str, Any]:
     """Return the settings of a training.
 
     Args:
-        task: name of a task; a task without settings of its own has the general ones.
+        task: name of a task; None for the general settings, which a task without settings of its
+            own has, too.
         algorithm: "ppo" or "shac".
-        backend: "cpu", "gpu"; None for the present one. A CPU has smaller settings.
+        backend: "cpu", "gpu"; None for the present one. A CPU has few samples: 64 at a time. They
+            show that a training runs; a legged robot learns to walk on a GPU.
 
     Returns:
         Arguments of `ppo` or of `shac`, and "steps", the steps of the robot in the training.
 
     Raises:
-        UnknownName: no such algorithm.
+        UnknownName: no such task or algorithm.
 
     Example:
         >>> import rbjax as rb
@@ -99,9 +108,14 @@ def settings(task: str, algorithm: str = "ppo", backend: str | None = None) -> d
     """
     if algorithm not in ALGORITHMS:
         raise UnknownName("algorithm", algorithm, ALGORITHMS)
+    if task is not None and task not in tasks():
+        raise UnknownName("task", task, tasks())
     backend = jax.default_backend() if backend is None else backend
-    own = TASKS.get(task, {})
+    own = TASKS.get(task, {}) if task is not None else {}
     found = (PPO if algorithm == "ppo" else SHAC) | dict(own.get(algorithm, {}))
-    if backend == "cpu":
-        found |= own.get(f"{algorithm} cpu", CPU_PPO if algorithm == "ppo" and not own else {})
-    return found
+    if backend != "cpu":
+        return found
+    if algorithm == "ppo":
+        return found | dict(own.get("ppo cpu", FEW if "ppo" in own else CPU_PPO))
+    steps = found["steps"] * CPU_BATCH // found["batch"]  # as many iterations
+    return found | {"batch": CPU_BATCH, "steps": steps}

@@ -37,8 +37,8 @@ def summary_of(figures: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Return the figures of a chunk of iterations as one row.
 
     "reward": mean return of the whole episodes that ended; NaN if none did. "length": their mean
-    length in steps. "episodes": their number. "step_reward": mean reward of a step. "failed": share
-    of the samples whose state was not finite in an iteration.
+    length in steps. "episodes": their number. "step_reward": mean reward of a step. "failed":
+    number of steps, of all samples and iterations, that ended in a state that is not finite.
     """
     count = float(figures["episodes"].sum())
     mean = (lambda x: float(x.sum()) / count) if count else (lambda x: float("nan"))

@@ -16,7 +16,7 @@ from rbjax.envs.learning.report import Monitor
 from rbjax.envs.learning.short_horizon import shac
 from rbjax.envs.learning.task_settings import ALGORITHMS, settings
 from rbjax.envs.learning.trained import Trained
-from rbjax.envs.registry import make
+from rbjax.envs.registry import make, tasks
 from rbjax.errors import InputError, UnknownName
 
 
@@ -39,15 +39,16 @@ def train(
     `shac`.
 
     Args:
-        task: name of a task (`rb.envs.tasks`), or an `Environment`.
+        task: name of a task (`rb.envs.tasks`), or an `Environment`; one of `rb.envs.make` if `out`
+            is given.
         algorithm: "ppo" (Brax) or "shac" (gradients through the environment).
         steps: steps of the robot in the training; None for the setting of the task.
-        out: folder of the checkpoint, "table.csv" and "chart.png", written after each report; None
-            for none.
+        out: folder of the checkpoint and "table.csv", written after each report, and of
+            "chart.png", written at the end; None for none.
         seed: of the random numbers.
         devices: number of devices that share the samples; None for one.
         seconds: limit of time, after which the training ends with the next report; None for none.
-        options: options of the task.
+        options: options of the named task; those of an `Environment` are its own.
         progress: whether the progress is printed.
         changes: settings that replace those of `rb.envs.learning.settings`.
 
@@ -56,7 +57,8 @@ def train(
 
     Raises:
         UnknownName: no such task or algorithm.
-        InputError: settings out of range, a missing package.
+        InputError: settings out of range, a missing package, or `out` for a task that is not
+            registered.
 
     Example:
         >>> import rbjax as rb
@@ -78,7 +80,15 @@ def train(
         raise InputError("train: options need the name of a task, got an Environment")
     env = task if isinstance(task, Environment) else make(task, **(options or {}))
     name = env.task.name if isinstance(task, Environment) else task
-    chosen = settings(name, algorithm) | ({} if steps is None else {"steps": steps}) | changes
+    registered = env.options is not None and name in tasks()
+    if out is not None and not registered:
+        raise InputError(
+            f"train: out is {str(out)!r} but the environment of {name!r} was not made by "
+            "rb.envs.make, so that load_policy could not make it again; register the task with "
+            "rb.envs.register and pass its name, or leave out and save the result"
+        )
+    chosen = settings(name if registered else None, algorithm)
+    chosen = chosen | ({} if steps is None else {"steps": steps}) | changes
     record = {"algorithm": algorithm, "seed": seed, "devices": devices, **chosen}
     folder = None if out is None else Path(out)
 
@@ -87,7 +97,7 @@ def train(
         def report(done: int, figures: Mapping[str, float], policy: Any) -> None:
             monitor(done, figures)
             if folder is not None and policy is not None:
-                save_policy(folder, policy, name, options, record)
+                save_policy(folder, policy, name, env.options, record)
 
         more: dict[str, Any] = {"devices": devices, "seconds": seconds, "report": report}
         key = jax.random.key(seed)

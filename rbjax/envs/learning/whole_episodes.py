@@ -13,7 +13,7 @@ from rbjax.arguments import integer, real_number
 from rbjax.envs.learning.checks import check_training
 from rbjax.envs.learning.iterations import SAME, devices_of, over_devices, run_iterations
 from rbjax.envs.learning.policy import as_policy, split_policy
-from rbjax.envs.learning.samples import Samples, figures_of, move_samples
+from rbjax.envs.learning.samples import Samples, at_progress, figures_of, move_samples
 from rbjax.envs.learning.trained import Report, Trained, no_report, summary_of
 from rbjax.envs.learning.updates import apply_update, falling_rate
 
@@ -47,7 +47,8 @@ def through_time(
         batch: number of samples in each update.
         rate: the initial learning rate of Adam, with cosine decay to a tenth.
         optimiser: an optax transformation; Adam with gradients clipped to norm 1 if None.
-        params: parameters of the environment; None for `env.default_params`.
+        params: parameters of the environment, which `Task.curriculum` changes over the training;
+            None for `env.default_params`.
         devices: number of devices, or a list of them, that share the batch; None for one.
         reports: number of reports.
         report: function (steps so far, figures, policy), called for each report.
@@ -84,18 +85,19 @@ def through_time(
             optax.clip_by_global_norm(1.0), optax.adam(falling_rate(rate, iterations))
         )
 
-    def turn(now: tuple, _: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
+    def turn(now: tuple, k: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         arrays, memory, key, skipped = now
+        present = at_progress(env, params, k / iterations)
         key, other = jax.random.split(key)
         one, two = jax.random.split(own_key(other))
         numbers, rest = split_policy(eqx.combine(arrays, static))
         draw = jax.vmap(env.reset, (0, None))
-        obs, state = draw(jax.random.split(one, batch // parts), params)
+        obs, state = draw(jax.random.split(one, batch // parts), present)
         samples = Samples(obs, state, jnp.ones(batch // parts, bool))
 
         def loss(numbers: Any) -> tuple:
             acting = eqx.combine(numbers, rest)
-            _, path = move_samples(env, acting, samples, two, env.episode, params)
+            _, path = move_samples(env, acting, samples, two, env.episode, present)
             before = jnp.cumsum(path.done, 0) - path.done  # episodes that ended earlier
             rewards = jnp.where(before == 0, path.rewards, 0.0)
             return -rewards.mean(), path._replace(rewards=rewards)

@@ -89,8 +89,30 @@ def test_actions_are_scaled_to_the_range(env):
     """1 is 20 N, the limit of the cart."""
     state = env.step(env.reset(jax.random.key(0)), jnp.full(1, 0.5))
     assert state.pipeline_state.ctrl.tolist() == [10.0]
-    assert state.metrics.keys() == {"reward/upright", "reward/effort"}
+    assert state.metrics.keys() == {"reward/upright", "reward/effort", "failed"}
     np.testing.assert_allclose(state.metrics["reward/effort"], -1e-3 * 100, rtol=1e-12)
+
+
+def test_a_key_is_used_once(env):
+    """The key of the initial state is neither the key that the steps split nor the given one."""
+    key = jax.random.key(7)
+    kept, used = jax.random.split(key)
+    due = env.environment.reset(used)[0]
+    for given, state in (
+        (kept, env.reset(key)),
+        (kept[None], adapters.wrap_brax(env, EPISODE).reset(key[None])),
+    ):
+        assert (state.info["rng"] == given).all()
+        np.testing.assert_allclose(np.ravel(state.obs), due, rtol=1e-12)
+
+
+def test_a_failure_is_in_the_metrics(env):
+    first = env.reset(jax.random.key(0))
+    assert first.metrics["failed"] == 0 and env.step(first, jnp.zeros(1)).metrics["failed"] == 0
+    now = first.pipeline_state
+    now = now.replace(state=now.state.replace(v=jnp.full(2, 1e200)))
+    after = env.step(first.replace(pipeline_state=now), jnp.zeros(1))
+    assert after.metrics["failed"] == 1 and np.isfinite(after.obs).all()
 
 
 def test_the_length_of_episodes_is_that_of_the_trainer(env):

@@ -7,10 +7,12 @@ import optax
 import pytest
 
 import rbjax as rb
+from rbjax.envs.actions import action_center_and_scale
 from rbjax.envs.learning import Policy, network, new_policy
+from rbjax.envs.learning.iterations import SAME, run_iterations
 from rbjax.envs.learning.networks import LEAST_STD, normaliser
 from rbjax.envs.learning.targets import objective, value_targets
-from rbjax.envs.learning.task_settings import ALGORITHMS, PPO, TASKS, settings
+from rbjax.envs.learning.task_settings import ALGORITHMS, PPO, settings
 from rbjax.envs.learning.training import shac_arguments
 from rbjax.envs.learning.updates import apply_update
 from rbjax.errors import InputError, UnknownName
@@ -82,6 +84,35 @@ def test_running_statistics_are_those_of_all_observations():
     assert (now(now.mean + 1e6) == 10.0).all()
 
 
+def test_statistics_of_one_observation_and_of_huge_ones():
+    """One observation has no deviation: it stays 1. A huge entry counts as the mean."""
+    one = normaliser(1).include(jnp.array([[5.0]]))
+    assert one.mean == 5.0 and one.std == 1.0 and one.count == 1
+    two = one.include(jnp.array([[9.0]]))
+    assert two.mean == 7.0 and abs(two.std - 2.0) < 1e-15
+    more = two.include(jnp.array([[jnp.nan], [1e7]]))
+    assert more.mean == 7.0 and abs(more.std - 2.0**0.5) < 1e-15 and more.count == 4
+
+
+def test_a_training_has_a_shorter_last_chunk():
+    """7 iterations in at most 3 programs: 3, 3 and 1."""
+    seen = []
+    last, figures = run_iterations(
+        lambda x, k: (x + k, {"k": k}), lambda: jnp.asarray(0), (), 7, layout=SAME,
+        devices=jax.devices()[:1], chunks=3,
+        report=lambda done, state, rows: seen.append((done, int(state), len(rows["k"]))),
+    )  # fmt: skip
+    assert seen == [(3, 3, 3), (6, 15, 3), (7, 21, 1)]
+    assert last == 21 and figures["k"].tolist() == list(range(7))
+
+
+def test_center_and_scale_of_an_action_without_limits():
+    low, high = jnp.array([2.0, -jnp.inf, 0.0]), jnp.array([6.0, jnp.inf, jnp.inf])
+    limited, center, scale = action_center_and_scale(low, high)
+    assert limited.tolist() == [True, False, False]
+    assert center.tolist() == [4, 0, 0] and scale.tolist() == [2, 1, 1]
+
+
 def test_actions_stay_in_their_range():
     env = environment()
     policy = new_policy(env, KEY, (3,), normalise=False, std=None)
@@ -131,16 +162,22 @@ def test_settings_fit_the_learners():
 
     from rbjax.envs.learning import shac
 
-    for task in (*TASKS, "another"):
+    for task in (*rb.envs.tasks(), None):
         for backend in ("cpu", "gpu"):
             found = settings(task, "ppo", backend)
             batch = found["batch_size"] * found["num_minibatches"]
             assert batch % found["num_envs"] == 0 and set(found) <= set(PPO) | {"clipping_epsilon"}
             found = shac_arguments(settings(task, "shac", backend))
             assert set(found) <= set(inspect.signature(shac).parameters)
+    for task in (*rb.envs.tasks(), None):  # a CPU has few samples
+        assert settings(task, "ppo", "cpu")["num_envs"] == 64
+        on_gpu, on_cpu = (settings(task, "shac", backend) for backend in ("gpu", "cpu"))
+        assert on_cpu["batch"] == 64 <= on_gpu["batch"] and on_cpu["steps"] < on_gpu["steps"]
     assert ALGORITHMS == ("ppo", "shac")
     with pytest.raises(UnknownName, match="algorithm"):
-        settings("another", "sac")
+        settings(None, "sac")
+    with pytest.raises(UnknownName, match="task 'another'"):
+        settings("another")
 
 
 @pytest.mark.parametrize(

@@ -59,3 +59,8 @@ def test_the_policy_and_the_critic_are_those_of_brax():
 def test_bad_input():
     with pytest.raises(InputError, match=r"batch_size \* num_minibatches is 16"):
         ppo(environment(), KEY, **SMALL | {"num_envs": 5})
+    with pytest.raises(InputError, match="factor 1 - discounting"):
+        ppo(environment(), KEY, discounting=1, **SMALL)
+    harder = environment(curriculum=lambda params, progress: params)
+    with pytest.raises(InputError, match=r"has a curriculum.*learning\.shac"):
+        ppo(harder, KEY, **SMALL)

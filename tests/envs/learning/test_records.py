@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.envs import Environment
 from rbjax.envs.learning import Monitor, load_policy, network, new_policy, save_policy, train
 from rbjax.envs.learning.report import _sentence, write_table
 from rbjax.errors import InputError
@@ -75,6 +76,38 @@ def test_a_training_leaves_a_folder(tmp_path, pole):
     env, policy = load_policy(tmp_path)
     obs, _ = env.reset(KEY)
     assert env.episode == 6 and (policy(obs) == found.policy(obs)).all()
+
+
+def test_a_checkpoint_has_the_options_of_an_environment(tmp_path):
+    """The sparse reward comes back; an environment that `make` did not make is refused."""
+    pytest.importorskip("orbax.checkpoint")
+    small = {"steps": 4, "progress": False, "batch": 2, "horizon": 2, "hidden": (3,), "reports": 1}
+    env = rb.envs.make("cart_pole_balance", sparse=True)
+    train(env, "shac", out=tmp_path, **small)
+    assert json.loads((tmp_path / "policy.json").read_text())["options"] == {"sparse": True}
+    assert load_policy(tmp_path)[0].options == {"sparse": True}
+    with pytest.raises(InputError, match="not made by"):
+        train(environment(), "shac", out=tmp_path, **small)
+    with pytest.raises(InputError, match="not made by"):
+        train(Environment(env.task), "shac", out=tmp_path, **small)
+
+
+def test_a_checkpoint_that_fails_leaves_the_earlier_one(tmp_path, pole, monkeypatch):
+    pytest.importorskip("orbax.checkpoint")
+    policy = new_policy(environment(), KEY, (3,))
+    save_policy(tmp_path, policy, pole)
+
+    class Full:
+        def save(self, path, arrays):
+            raise OSError("no space")
+
+    monkeypatch.setattr("rbjax.envs.learning.checkpoint._orbax", lambda where: Full())
+    with pytest.raises(OSError, match="no space"):
+        save_policy(tmp_path, new_policy(environment(), KEY, (9, 9)), pole)
+    monkeypatch.undo()
+    assert load_policy(tmp_path)[1].network.sizes == (4, 3, 1)
+    save_policy(tmp_path, policy, pole)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["parameters", "policy.json"]
 
 
 def test_the_command(tmp_path, pole, monkeypatch):

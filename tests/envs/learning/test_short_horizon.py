@@ -113,8 +113,13 @@ def test_all_runs_once():
 def test_warming_up_changes_the_critic_only():
     env = environment()
     policy, critic = new_policy(env, KEY, (3,)), new_critic(env, KEY, (3,))
-    found = shac(env, KEY, policy, critic=critic, iterations=2, batch=2, horizon=2, warm_up=2)
-    assert (found.policy.network.weights[0] == policy.network.weights[0]).all()
+    seen = []
+    found = shac(
+        env, KEY, policy, critic=critic, iterations=3, batch=2, horizon=2, warm_up=2, reports=3,
+        report=lambda steps, figures, policy: seen.append(policy.network.weights[0]),
+    )  # fmt: skip
+    assert (seen[1] == policy.network.weights[0]).all()
+    assert np.abs(seen[2] - seen[1]).max() > 1e-4
     assert np.abs(found.critic.network.weights[0] - critic.network.weights[0]).max() > 1e-4
 
 
@@ -168,8 +173,11 @@ def test_a_curriculum_changes_the_parameters_over_the_training():
         return params.replace(weights={"one": jnp.asarray(progress, float)})
 
     env = environment(rewards=(Reward("one", lambda to: 1.0),), curriculum=curriculum)
-    found = shac(env, KEY, iterations=4, batch=2, horizon=2, hidden=(3,))
-    assert np.abs(found.rewards - np.array([0.0, 0.25, 0.5, 0.75])).max() < 1e-15
+    found = [
+        shac(env, KEY, iterations=4, batch=2, horizon=2, hidden=(3,)).rewards,
+        through_time(env, network(KEY, (4, 1)), KEY, iterations=4, batch=2).rewards,
+    ]
+    assert np.abs(found - np.array([0.0, 0.25, 0.5, 0.75])).max() < 1e-15
 
 
 def test_a_policy_of_equinox():
@@ -222,6 +230,8 @@ def test_a_swing_up_is_learned():
         (lambda env: shac(env, KEY, network(KEY, (3, 1))), "fails for an observation"),
         (lambda env: shac(env, KEY, lambda o: o[:1]), "no floating"),
         (lambda env: shac(env, KEY, discount=2.0), "discount is 2"),
+        (lambda env: shac(env, KEY, discount=1.0), "factor 1 - discount"),
+        (lambda env: shac(env, KEY, iterations=3, warm_up=3), "never updated"),
         (lambda env: shac(env, KEY, horizon=0), "horizon is 0"),
         (lambda env: shac(env, KEY, rate=-1.0), "rate is -1"),
         (lambda env: shac(env, KEY, devices=1000), "devices is 1000"),
