@@ -57,6 +57,8 @@ def check_task(task: Any) -> None:
                 f"{where}: {name} is {delay}, expected (smallest, largest) in control steps, such "
                 "as (0, 2)"
             )
+    if task.tracked is not None:
+        task.model.body(task.tracked)
 
 
 def term_of(task: Any, term: Any) -> Callable:

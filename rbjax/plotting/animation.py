@@ -36,6 +36,7 @@ def animate(
     samples: int = 8,
     camera: Camera | None = None,
     follow: bool | None = None,
+    tracked: str | None = None,
     trace: str | Sequence[str] = (),
     contacts: ContactForces | None = None,
     title: str = "",
@@ -64,6 +65,7 @@ def animate(
             page draws thousands; above some megabytes it has fewer frames of them.
         camera: the line of sight. None chooses a right angle to a flat motion, or else a corner.
         follow: whether the view moves with the robot; None: only if the robot moves far.
+        tracked: name of the body that the view follows; None for the middle of the robot.
         trace: one body or several, whose origins leave a line.
         contacts: contact forces at the times of the trajectory, drawn as arrows, as
             `jax.vmap(lambda q, v: rb.contact.solve(model, rb.State(q, v)).contacts)` returns.
@@ -94,7 +96,8 @@ def animate(
     _check(fps, speed, samples, renderer, source)
     ts, q = frames(model, trajectory, fps, speed, samples)
     shapes = shapes_of(model, source, floating_base)
-    shown = film(model, ts, q, shapes, camera=camera, follow=follow, trace=trace)
+    options: Any = {"camera": camera, "follow": follow, "tracked": tracked, "trace": trace}
+    shown = film(model, ts, q, shapes, **options)
     shown = with_arrows("animate", shown, model, contacts, np.asarray(trajectory.ts, float))
     if path.suffix == ".html":
         write_page(path, shown, title, fps=fps, speed=speed)

@@ -86,7 +86,7 @@ class Film:
         paths: (n, F, 3), positions of bodies whose paths are drawn.
         strong: (n,), whether each path is of the first sample.
         arrows: (F, n, 2, 3), start and end of the arrows of contact forces; nan for none.
-        middle: (F, 3), the middle of the first sample.
+        middle: (F, 3), the tracked body or the middle of the first sample.
         follow: whether `centre` moves with the robot.
     """
 
@@ -155,12 +155,14 @@ def film(
     *,
     camera: Camera | None = None,
     follow: bool | None = None,
+    tracked: str | None = None,
     trace: Sequence[str] = (),
 ) -> Film:
     """Make a film of configurations q (S, F, nq), with a view that fits them.
 
     camera: None chooses one by how flat the motion is.
     follow: whether the view moves with the robot; None: only if the robot moves far.
+    tracked: name of the body that the view follows; None for the middle of the robot.
     trace: names of bodies whose origins leave a line.
     """
     samples, count = q.shape[:2]
@@ -177,14 +179,17 @@ def film(
     moving = np.concatenate([np.full(len(s.points), s.body >= 0) for s in convex])
     camera = camera or facing(points.reshape(-1, 3))
     robot = points[:, :, moving] if moving.any() else points
-    middle = robot.mean((0, 2))  # (probed, 3)
+    middle, own = robot.mean((0, 2)), robot[0].mean(1)  # (probed, 3)
+    if tracked is not None:
+        body = model.body(tracked)
+        middle, own = at[1][:, :, body].mean(0), at[1][0, :, body]
     seen = robot @ camera.axes[:2].T
     at_once = (seen.max((0, 2)) - seen.min((0, 2))).max()
     across = np.ptp(middle @ camera.axes[:2].T, axis=0).max()
     extent = float(np.ptp(points.reshape(-1, 3), axis=0).max()) or 1.0
     if follow is None:
         follow = bool(across > _FAR * at_once)
-    own = np.stack([np.interp(np.arange(count), probed, x) for x in robot[0].mean(1).T], -1)
+    own = np.stack([np.interp(np.arange(count), probed, x) for x in own.T], -1)
     if follow:
         centre = np.stack([np.interp(np.arange(count), probed, x) for x in middle.T], -1)
         reach = (robot - middle[:, None]) @ camera.axes[:2].T

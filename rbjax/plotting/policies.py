@@ -143,7 +143,8 @@ def animate_policy(
         params: parameters of the environment; None for its own.
         source: a robot file whose geoms are drawn; None for the geoms of the model.
         title: text at the top; None for the name of the task.
-        options: of `rbjax.plotting.animate`, such as fps, speed, follow, trace, camera, size.
+        options: of `rbjax.plotting.animate`, such as fps, speed, follow, tracked, trace, camera,
+            size. The view follows the body `Task.tracked`.
 
     Returns:
         The path.
@@ -164,15 +165,21 @@ def animate_policy(
     found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed, params=params)
     model = env.task.model
     drawn = samples if path.suffix == ".html" else min(samples, FEW)
-    options = {"samples": drawn, "contacts": found.contacts} | options
+    given = {"samples": drawn, "contacts": found.contacts, "tracked": tracked_body(env)}
     title = env.task.name.replace("_", " ") if title is None else title
     shapes = drawn_source(model) if source is None else source
-    return animate(model, found.trajectory, path, source=shapes, title=title, **options)
+    return animate(model, found.trajectory, path, source=shapes, title=title, **given | options)
 
 
 def drawn_source(model: Model) -> Model | None:
     """Return the model if it has geoms to draw, else None, which draws rods and ellipsoids."""
     return model if any(s.body >= 0 for s in solids(model)) else None
+
+
+def tracked_body(env: Environment) -> str:
+    """Return the name of the body that a view follows: `Task.tracked`, or the first body."""
+    task = env.task
+    return task.model.body_names[0] if task.tracked is None else task.tracked
 
 
 def _kept(state: EnvState) -> tuple:

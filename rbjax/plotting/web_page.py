@@ -31,7 +31,7 @@ from rbjax.style import RED
 Array = np.ndarray
 #: bytes of the poses of all ghosts before compression; with more, frames are left out
 _MOST_BYTES = 32_000_000
-#: number of ghosts from which their surfaces are coarse
+#: with more samples the surfaces of ghosts are coarse
 CROWD = 48
 _WORLD = 65535
 #: unit of positions of ghosts, relative to the picture

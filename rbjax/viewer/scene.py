@@ -16,7 +16,7 @@ from rbjax.rotations import quaternion
 from rbjax.style import RED
 
 Array = np.ndarray
-#: the largest number of ghosts whose flexible links are drawn
+#: with more ghosts their flexible links are not drawn
 TUBES = 32
 #: opacity of ghosts at the place of the robot, and share of white of their flexible links
 _GHOSTLY, _PALE = 0.3, 0.55
@@ -137,7 +137,7 @@ class Scene:
             made = surface(s, *first) if s.end is not None else None
             if made is not None:
                 parts[s.color].append(made)
-        copies = min(len(self.p) - 1, TUBES) if len(self.p) - 1 <= TUBES else 0
+        copies = len(self.p) - 1 if len(self.p) - 1 <= TUBES else 0
         return [_Tube(self, color, _merged(found), copies) for color, found in parts.items()]
 
     def _ground(self) -> None:

@@ -13,7 +13,7 @@ from rbjax.loading import load, load_trajectory, scenes
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.animation import animate
-from rbjax.plotting.policies import FEW, drawn_source, record_policy
+from rbjax.plotting.policies import FEW, drawn_source, record_policy, tracked_body
 from rbjax.viewer.viewing import Viewer, view
 
 
@@ -26,6 +26,7 @@ class Subject(NamedTuple):
     contacts: contact forces of the first sample, or None.
     title: text at the top.
     floating_base: as in `rbjax.load`, for a source that is a URDF.
+    tracked: name of the body that the camera follows; None for the middle of the robot.
     """
 
     model: Model
@@ -34,10 +35,11 @@ class Subject(NamedTuple):
     contacts: Any
     title: str
     floating_base: bool = False
+    tracked: str | None = None
 
     def view(self, **options: Any) -> Viewer:
         """Show it in the browser. options: of `rbjax.viewer.view`."""
-        given = {"title": self.title, "contacts": self.contacts} | options
+        given = self._options() | options
         return view(
             self.model, self.trajectory, source=self.source, floating_base=self.floating_base,
             **given,
@@ -47,10 +49,13 @@ class Subject(NamedTuple):
         """Write it as an HTML page, a GIF or an MP4. options: of `rbjax.plotting.animate`."""
         motion = at_rest(self.model) if self.trajectory is None else self.trajectory
         samples = len(motion.q) if Path(path).suffix == ".html" else FEW
-        given = {"title": self.title, "contacts": self.contacts, "samples": samples} | options
+        given = self._options() | {"samples": samples} | options
         return animate(
             self.model, motion, path, source=self.source, floating_base=self.floating_base, **given
         )
+
+    def _options(self) -> dict[str, Any]:
+        return {"title": self.title, "contacts": self.contacts, "tracked": self.tracked}
 
 
 def at_rest(model: Model) -> Trajectory:
@@ -131,4 +136,5 @@ def subject_of_policy(
     """
     found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed)
     model, title = env.task.model, env.task.name.replace("_", " ")
-    return Subject(model, found.trajectory, drawn_source(model), found.contacts, title)
+    shapes, tracked = drawn_source(model), tracked_body(env)
+    return Subject(model, found.trajectory, shapes, found.contacts, title, tracked=tracked)

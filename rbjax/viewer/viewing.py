@@ -85,6 +85,7 @@ def view(
     fps: float = 30.0,
     camera: Camera | None = None,
     follow: bool | None = None,
+    tracked: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
 ) -> Viewer:
@@ -106,6 +107,7 @@ def view(
         fps: frames per second.
         camera: the line of sight; None chooses one.
         follow: whether the camera moves with the robot; None: only if the robot moves far.
+        tracked: name of the body that the camera follows; None for the middle of the robot.
         host: address of the server; "0.0.0.0" lets other machines connect.
         port: its port, or the next free one.
 
@@ -128,7 +130,7 @@ def view(
         ts, q = np.zeros(1), np.asarray(model.default_state().q)[None, None]
     else:
         ts, q = frames(model, trajectory, fps, 1.0, samples)
-    shown = film(model, ts, q, shapes, camera=camera, follow=follow)
+    shown = film(model, ts, q, shapes, camera=camera, follow=follow, tracked=tracked)
     if trajectory is not None:
         shown = with_arrows("view", shown, model, contacts, np.asarray(trajectory.ts, float))
     server = _server(title, host, port)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.plotting import animate_policy, record_policy
+from rbjax.plotting import animate_policy, animation, record_policy
+from rbjax.viewer import subject_of_policy
 
 BALL = """<mujoco><option timestep="0.002"/><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>
@@ -51,6 +53,23 @@ def test_a_page_in_one_call(env, tmp_path: Path) -> None:
     file = animate_policy(env, None, tmp_path / "a.html", seconds=0.2, samples=60, fps=10)
     text = file.read_text()
     assert "cart pole balance" in text and '"samples": 60' in text
+
+
+def test_the_view_follows_the_tracked_body(env, tmp_path: Path, monkeypatch) -> None:
+    films = []
+    monkeypatch.setattr(animation, "write_page", lambda path, film, *args, **k: films.append(film))
+    for name, index in (("pole", 1), (None, 0)):
+        own = rb.envs.Environment(dataclasses.replace(env.task, tracked=name))
+        animate_policy(own, None, tmp_path / "a.html", seconds=0.2, fps=50, follow=True)
+        (shown,) = films
+        np.testing.assert_allclose(shown.middle, shown.p[0, :, index], atol=1e-12)
+        np.testing.assert_allclose(shown.centre, shown.middle, atol=1e-12)
+        subject_of_policy(own, None, seconds=0.1).animate(tmp_path / "b.html")
+        shown = films[1]
+        np.testing.assert_allclose(shown.middle, shown.p[0, :, index], atol=1e-12)
+        films.clear()
+    with pytest.raises(rb.UnknownName, match="body 'poles'"):
+        rb.envs.Environment(dataclasses.replace(env.task, tracked="poles"))
 
 
 def test_errors(env, tmp_path: Path) -> None:

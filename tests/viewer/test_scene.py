@@ -184,6 +184,10 @@ def test_a_beam_moves_its_tube() -> None:
     """The vertices of the tube are at one radius from the line of the beam."""
     steel = rb.flexible.circle(0.03, E=1e7, nu=0.3, density=1000.0)
     model = rb.load("<mujoco/>").with_beam("rod", rb.flexible.beam(2.0, steel, {"k_z": 1}))
+    for ghosts, drawn in ((32, 32), (33, 0)):  # all or none
+        q = np.zeros((1 + ghosts, 1, model.nq))
+        crowd = film(model, np.zeros(1), q, rb.plotting.skeleton(model))
+        assert len(Scene(FalseServer(), crowd).tubes[0].nodes) == 1 + drawn
     q = np.zeros((2, 3, model.nq))
     q[0, 2, 0] = 0.5
     shown = film(model, np.arange(3.0), q, rb.plotting.skeleton(model))
