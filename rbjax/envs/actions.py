@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.envs.episode import EnvState, Params
+from rbjax.errors import InputError
 from rbjax.model import Model
 
 
@@ -108,6 +109,8 @@ class Offset:
 
     def size(self, model: Model) -> int:
         """Return the number of entries of an action."""
+        _check("Offset", "rest", self.rest, model)
+        _check("Offset", "scale", self.scale, model)
         return model.nu
 
     def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -142,6 +145,8 @@ class Increment:
 
     def size(self, model: Model) -> int:
         """Return the number of entries of an action."""
+        _check("Increment", "scale", self.scale, model)
+        _check("Increment", "start", 0.0 if self.start is None else self.start, model)
         return model.nu
 
     def range(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -155,6 +160,13 @@ class Increment:
     def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
         """Compute the controls (nu,)."""
         return _clipped(params.model, state.ctrl + jnp.asarray(self.scale, action.dtype) * action)
+
+
+def _check(where: str, name: str, x: Any, model: Model) -> None:
+    if np.shape(x) not in ((), (model.nu,)):
+        raise InputError(
+            f"{where}: {name} has shape {np.shape(x)}, expected a number or ({model.nu},)"
+        )
 
 
 def _clipped(model: Model, ctrl: jax.Array) -> jax.Array:

@@ -35,6 +35,12 @@ def check_task(task: Any) -> None:
             f'{where}: observations has the groups {sorted(task.observations)}, expected "policy" '
             "among them"
         )
+    for group, terms in task.observations.items():
+        if not terms:
+            raise InputError(
+                f"{where}: observations[{group!r}] is empty, expected one or more "
+                "rb.envs.Observation"
+            )
     if not task.rewards:
         raise InputError(f"{where}: rewards is empty, expected one or more rb.envs.Reward")
     lists: dict[str, Any] = {
@@ -52,7 +58,9 @@ def check_task(task: Any) -> None:
         f"delay of {t.name!r}": t.delay for terms in task.observations.values() for t in terms
     }
     for name, delay in delays.items():
-        if len(delay) != 2 or not 0 <= delay[0] <= delay[1]:
+        steps = tuple(delay) if isinstance(delay, tuple | list) else ()
+        whole = len(steps) == 2 and all(isinstance(k, int | np.integer) for k in steps)
+        if not whole or not 0 <= steps[0] <= steps[1]:
             raise InputError(
                 f"{where}: {name} is {delay}, expected (smallest, largest) in control steps, such "
                 "as (0, 2)"
@@ -82,6 +90,37 @@ def check_number(what: str, task: Any, value: Any) -> jax.Array:
             "its entries"
         )
     return jnp.asarray(value)
+
+
+def check_flag(what: str, task: Any, value: Any) -> jax.Array:
+    """Check that a termination returned a bool."""
+    x = check_number(what, task, value)
+    if x.dtype != bool:
+        raise InputError(
+            f"task {task.name!r}: {what} returned a number of dtype {x.dtype}, expected a bool, "
+            "such as the result of a comparison"
+        )
+    return x
+
+
+def check_noise(task: Any, term: Any, value: jax.Array) -> None:
+    """Check that the noise of an observation fits it."""
+    if np.shape(term.noise) not in ((), value.shape):
+        raise InputError(
+            f"task {task.name!r}: observation {term.name!r} has noise of shape "
+            f"{np.shape(term.noise)}, expected a number or {value.shape}"
+        )
+
+
+def number_of(task: Any, name: str, value: Any, dtype: Any) -> jax.Array:
+    """Convert an entry of `Task.values` to an array of floats, or of bools."""
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"task {task.name!r}: values[{name!r}] is {value!r}, expected a number or an array"
+        ) from error
+    return x if x.dtype == bool else x.astype(dtype)
 
 
 def check_vector(

@@ -17,7 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import check_step
-from rbjax.envs.checks import check_number, check_start, check_vector, term_of
+from rbjax.envs.checks import (
+    check_flag,
+    check_noise,
+    check_number,
+    check_shape,
+    check_start,
+    check_vector,
+    term_of,
+)
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.task import Observation, Task
 from rbjax.envs.transition import Transition
@@ -40,7 +48,9 @@ class ControlStep:
         law = with_contact("Environment", model, free_motion, task.contact)
         self.dynamics = dynamics_of("Environment", model, law, None, steps=True)
         self.integrator = integrator_of("Environment", task.integrator, self.dynamics, model)
-        self.dt = check_step("Environment", "dt", task.dt or model.timestep, self.dtype)
+        #: the physics step in s
+        self.step = float(model.timestep if task.dt is None else task.dt)
+        self.dt = check_step(f"task {task.name!r}", "dt", self.step, self.dtype)
         self.action_size: int = task.action.size(model)
         self.terms = {
             group: [(term, term_of(task, term)) for term in terms]
@@ -91,7 +101,7 @@ class ControlStep:
         if "action" in self.delayed:
             buffers["action"] = jnp.zeros((task.action_delay[1] + 1, self.action_size), dtype)
         return EnvState(
-            state=state, rate=jnp.zeros_like(state.v), step=jnp.int32(0),
+            state=state, acceleration=jnp.zeros_like(state.v), step=jnp.int32(0),
             action=jnp.zeros(self.action_size, dtype), ctrl=jnp.asarray(initial(model), dtype),
             variables=variables, drawn=drawn, delays=delays, buffers=buffers,
             total=jnp.zeros((), dtype),
@@ -109,7 +119,14 @@ class ControlStep:
             buffer = jnp.concatenate([action[None], state.buffers["action"][:-1]])
             action = _row(buffer, state.delays["action"])
             state = state.replace(buffers={**state.buffers, "action": buffer})
-        return state, task.action.ctrl(action, state, params)
+        ctrl = task.action.ctrl(action, state, params)
+        return state, check_shape(
+            f"task {task.name!r}",
+            "the result of the action map",
+            ctrl,
+            (task.model.nu,),
+            self.dtype,
+        )
 
     def physics(
         self, state: State, step: jax.Array, drawn: dict[str, Any], ctrl: jax.Array, params: Params
@@ -138,24 +155,30 @@ class ControlStep:
         """Return the state after a control step, the reward, done, and info."""
         task = self.task
         params = self.with_drawn(params, last.drawn)
-        motion, rate = moved
+        motion, acceleration = moved
         step, variables = last.step + 1, dict(last.variables)
-        state = last.replace(state=motion, rate=rate, step=step, action=action, ctrl=ctrl)
+        state = last.replace(
+            state=motion, acceleration=acceleration, step=step, action=action, ctrl=ctrl
+        )
         to = self.transition(last, state, params)
         for v in task.variables:
             if v.measure is not None:
                 variables[v.name] = _alike(v, v.measure(to), variables)
         to = dataclasses.replace(to, variables=variables)
-        failed = ~jnp.all(jnp.isfinite(jnp.concatenate([motion.q, motion.v, action])))
+        numbers = [motion.q, motion.v, action, *([] if motion.x is None else [motion.x])]
+        failed = ~jnp.all(jnp.isfinite(jnp.concatenate(numbers)))
         terminated = failed
         for name, ends in task.terminations.items():
-            terminated = terminated | check_number(f"termination {name!r}", task, ends(to))
+            terminated = terminated | check_flag(f"termination {name!r}", task, ends(to))
         to = dataclasses.replace(to, terminated=terminated)
         rewards = {}
         for r in task.rewards:
             found = check_number(f"reward term {r.name!r}", task, r.read(to))
-            rewards[r.name] = jnp.where(failed, 0.0, params.weights[r.name] * found)
+            rewards[r.name] = params.weights[r.name] * found
         total = check_number("total", task, task.total(rewards, self.dt * task.decimation))
+        failed = failed | ~jnp.isfinite(total)
+        terminated = terminated | failed
+        rewards = {name: jnp.where(failed, 0.0, r) for name, r in rewards.items()}
         reward = jnp.where(failed, 0.0, total).astype(self.dtype)
         truncated = (step >= task.episode) & ~terminated
         for i, v in enumerate(task.variables):
@@ -176,7 +199,11 @@ class ControlStep:
         t = dt * after.step.astype(self.dtype)
         context = Context.of(params.model, t, state, after.ctrl, self.dt)
         solution = Solution(
-            context, Inputs(after.ctrl), self.dynamics, memory=state.memory, acceleration=after.rate
+            context,
+            Inputs(after.ctrl),
+            self.dynamics,
+            memory=state.memory,
+            acceleration=after.acceleration,
         )
         context = dataclasses.replace(context, solution=solution)
         return Transition(
@@ -186,25 +213,32 @@ class ControlStep:
         )  # fmt: skip
 
     def observe(
-        self, key: jax.Array, state: EnvState, params: Params, fresh: Any
+        self, key: jax.Array, last: EnvState, state: EnvState, params: Params, is_reset: Any
     ) -> tuple[Any, EnvState]:
         """Return the observation, and the state with the buffers of delayed terms.
 
-        fresh: whether an episode begins at the state, so that delayed terms begin with their first
-            value; None: the buffers do not exist yet.
+        last: state before the control step.
+        is_reset: False, or whether an episode begins at the state (traced). Terms then read a transition from the
+            initial state to itself, and delayed terms begin with their first value. None: the
+            buffers do not exist yet.
         """
         params = self.with_drawn(params, state.drawn)
-        to = self.transition(state, state, params)
+        if isinstance(is_reset, jax.Array):
+            before, now = ((x.state, x.action, x.ctrl) for x in (last, state))
+            before = jax.tree.map(lambda a, b: jnp.where(is_reset, a, b), now, before)
+            last = last.replace(state=before[0], action=before[1], ctrl=before[2])
+        to = self.transition(last, state, params)
         buffers, values = dict(state.buffers), {}
         for name, term, read in self.unique_terms:
             value = check_vector(f"observation {term.name!r}", self.task, read(to), self.dtype)
+            check_noise(self.task, term, value)
             if name in self.delayed:
                 first = jnp.broadcast_to(value, (self.delayed[name][1] + 1, *value.shape))
-                if fresh is None:
+                if is_reset is None:
                     buffers[name] = first
                 else:
                     pushed = jnp.concatenate([value[None], buffers[name][:-1]])
-                    buffers[name] = jnp.where(fresh, first, pushed)
+                    buffers[name] = jnp.where(is_reset, first, pushed)
                 value = _row(buffers[name], state.delays[name])
             values[id(term)] = value
         noisy = [t for _, t, _ in self.unique_terms if np.any(np.asarray(t.noise))]

@@ -23,11 +23,12 @@ from rbjax.control.optimal.problem import Problem
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.one_sample import run_sample
-from rbjax.envs.checks import check_params, check_shape, check_task
+from rbjax.envs.checks import check_params, check_shape, check_task, number_of
 from rbjax.envs.control_step import ControlStep, with_model
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.optimal_control import deterministic_step, parts_read, task_problem
 from rbjax.envs.task import Task
+from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.meshes import automatic, on_auto_axes, on_explicit_axes
 from rbjax.model import Model
@@ -74,7 +75,7 @@ class Environment:
         self.kernel = kernel is None or flag("Environment", "kernel", kernel)
         self._sample = ControlStep(task)
         self.dtype = self._sample.dtype
-        self.dt = float(self._sample.dt) * task.decimation
+        self.dt = self._sample.step * task.decimation
         self.episode = task.episode
         self.action_size: int = self._sample.action_size
         self.action_range = task.action.range(task.model)
@@ -87,12 +88,13 @@ class Environment:
     @functools.cached_property
     def default_params(self) -> Params:
         """The parameters of the task."""
+        values = self.task.values.items()
         with jax.ensure_compile_time_eval():
             return Params(
                 model=self.task.model,
                 weights={r.name: jnp.asarray(r.weight, self.dtype) for r in self.task.rewards},
                 noise=jnp.ones((), self.dtype),
-                values={name: jnp.asarray(x) for name, x in self.task.values.items()},
+                values={name: number_of(self.task, name, x, self.dtype) for name, x in values},
             )
 
     @functools.cached_property
@@ -133,10 +135,11 @@ class Environment:
             The observation and the state, of the next episode if this one ended.
             The reward of the step.
             done: True if the episode ended.
-            info: "terminated": a termination of the task was true, or "failed";
-                "truncated": the last step of the episode, not terminated; "failed": the state or
-                the action was not finite, the reward is then 0; "rewards": name -> weighted reward
-                term; "return" and "length" of the episode up to this step.
+            info: "terminated": a termination of the task was true, or the step failed;
+                "truncated": the last step of the episode, not terminated; "failed": the state, the
+                action or the reward was not finite, and the reward is then 0; "rewards": name ->
+                weighted reward term, not multiplied by dt; "return" and "length" of the episode up
+                to this step.
 
         Raises:
             InputError: an action or params of wrong shapes.
@@ -159,7 +162,7 @@ class Environment:
         """Run a policy for a number of steps, with the policy inside the kernel.
 
         Use it for small policies, such as gains or a network of some thousand weights. Under `vmap`
-        all steps are one kernel.
+        all steps are one kernel. Call it inside `jax.jit`: outside, each call compiles again.
 
         Args:
             key: of `jax.random`.
@@ -313,7 +316,7 @@ class Environment:
     def _first(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
         begin, noise = jax.random.split(_key(own[0]))
         state = self._sample.begin(begin, params)
-        return self._sample.observe(noise, state, params, None)
+        return self._sample.observe(noise, state, state, params, None)
 
     def _step(self, own: tuple, params: Params, part: Callable) -> tuple:
         return part(self._next, self._advance(own, params, part), params)
@@ -345,14 +348,14 @@ class Environment:
         new = self._sample.begin(begin, params)
         new = new.replace(buffers={**state.buffers, **new.buffers})
         state = jax.tree.map(lambda a, b: jnp.where(done, a, b), new, state)
-        obs, state = self._sample.observe(noise, state, params, done)
+        obs, state = self._sample.observe(noise, last, state, params, done)
         return obs, state, reward, done, info
 
     def _last(self, own: tuple, params: Params) -> tuple:
         data, last, action, ctrl, moved = own
         finish, _, noise = jax.random.split(_key(data), 3)
         state, reward, done, info = self._sample.finish(finish, last, action, ctrl, moved, params)
-        obs, state = self._sample.observe(noise, state, params, False)
+        obs, state = self._sample.observe(noise, last, state, params, False)
         return obs, state, reward, done, info
 
     def _check_terms(self) -> None:
@@ -364,7 +367,7 @@ class Environment:
 
         def step(data: jax.Array, state: EnvState, action: jax.Array) -> tuple:
             last, ctrl = self._sample.prepare(_key(data), state, action, params)
-            motion = last.state, last.rate  # without the physics, whose trace takes longer
+            motion = last.state, last.acceleration  # without the physics, whose trace takes longer
             return self._next((data, last, action, ctrl, motion), params)
 
         jax.eval_shape(step, key, state, action)
@@ -383,6 +386,11 @@ def _data(where: str, key: Any) -> jax.Array:
     """Return the two integers of a key: threads do not take typed keys."""
     check_key(where, key)
     data = jax.random.key_data(key)
+    if data.ndim != 1:
+        raise InputError(
+            f"{where}: key is a batch of keys of shape {data.shape[:-1]}, expected one key; map "
+            "over a batch by jax.vmap"
+        )
     return data if data.shape == (2,) else jax.random.bits(key, (2,), jnp.uint32)
 
 

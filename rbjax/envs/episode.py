@@ -38,19 +38,19 @@ class EnvState(Record):
     """The state of an episode.
 
     state: state of motion.
-    rate: (nv,) mean acceleration over the last physics step, read by accelerometers.
+    acceleration: (nv,) mean acceleration over the last physics step, read by accelerometers.
     step: control steps since the reset, int32.
     action: (na,) last action of the policy.
     ctrl: (nu,) last controls.
     variables: name -> variable of the task.
     drawn: name -> value of a randomisation.
-    delays: name of a delayed observation, or "action" -> delay in control steps, int32.
-    buffers: name of a delayed observation, or "action" -> its last values, the newest first.
+    delays: "GROUP/NAME" of a delayed observation, or "action" -> delay in control steps, int32.
+    buffers: "GROUP/NAME" of a delayed observation, or "action" -> its last values, newest first.
     total: sum of the rewards since the reset.
     """
 
     state: State
-    rate: jax.Array
+    acceleration: jax.Array
     step: jax.Array
     action: jax.Array
     ctrl: jax.Array

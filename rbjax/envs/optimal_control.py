@@ -174,7 +174,7 @@ def step_pair(sample: ControlStep, params: Params, pair: Pair, action: jax.Array
 def reward_of_pair(sample: ControlStep, params: Params, pair: Pair) -> jax.Array:
     """Return the reward of the control step between the states of a pair; -inf if not finite."""
     now, last = pair
-    moved = now.state, now.rate
+    moved = now.state, now.acceleration
     _, reward, _, info = sample.finish(jax.random.key(0), last, now.action, now.ctrl, moved, params)
     return jnp.where(info["failed"], -jnp.inf, reward)  # an episode pays 0 and ends
 

@@ -132,7 +132,8 @@ def scale(
         where: function of the model that returns the leaf, or a list of leaves with one common
             factor, such as mass and inertia.
         low, high: smallest and largest factor, numbers or arrays of the leaf's shape.
-        each: True for one factor for each entry of the leaf; False for one factor of all entries.
+        each: True for independent factors of the entries of the leaf. False: all entries are at the
+            same share of the way from low to high; with numbers, one factor of all entries.
 
     Example:
         >>> import rbjax as rb
@@ -156,7 +157,8 @@ def offset(
         where: function of the model that returns the leaf, or a list of leaves.
         low, high: smallest and largest number, in the unit of the leaf, numbers or arrays of the
             leaf's shape.
-        each: True for one number for each entry of the leaf; False for one number for all entries.
+        each: True for independent numbers of the entries of the leaf. False: all entries are at the
+            same share of the way from low to high; with numbers, one number for all entries.
 
     Example:
         >>> import rbjax as rb
@@ -178,8 +180,8 @@ def _uniform(where: Callable, low: Any, high: Any, each: bool) -> Callable:
     def draw(key: jax.Array, params: Params) -> jax.Array:
         leaf = jax.tree.leaves(where(params.model))[0]
         least, most = jnp.asarray(low, leaf.dtype), jnp.asarray(high, leaf.dtype)
-        shape = leaf.shape if each else jnp.broadcast_shapes(least.shape, most.shape)
-        return jax.random.uniform(key, shape, leaf.dtype, least, most)
+        share = jax.random.uniform(key, leaf.shape if each else (), leaf.dtype)
+        return least + share * (most - least)
 
     return draw
 
@@ -212,7 +214,7 @@ class Task:
         variables: variables of the task between steps.
         events: events at the beginning of a control step.
         terminations: name -> function of a `Transition` that returns True if the episode ends.
-            States that are not finite always end it.
+            A state, an action or a reward that is not finite always ends it.
         randomise: what is drawn at each reset in the model.
         decimation: physics steps in a control step.
         dt: physics step in s; None for the model's timestep.

@@ -30,7 +30,8 @@ class Transition:
     params: parameters of the environment.
     dt: control step in s.
     step: control steps since the reset, this one included.
-    terminated: whether a termination of the task is true; False for the terminations themselves.
+    terminated: whether a termination of the task is true; False for observations and for the
+        terminations themselves.
     """
 
     before: State

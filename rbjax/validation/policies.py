@@ -1,7 +1,8 @@
 """A policy in MuJoCo C: episodes of a task whose physics are MuJoCo's.
 
-The controls go to MuJoCo, and its states come back. Observations, rewards, terminations and random
-numbers are those of the task, so the difference of the returns is that of the physics.
+The controls go to MuJoCo, and its states come back. Observations, rewards and terminations are those
+of the task, and random numbers those of `rb.envs.learning.evaluate` with the same key. So the
+difference of the returns is that of the physics.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def evaluate_in_mujoco(
         mj_model: MuJoCo's model of the same robot. Its timestep must be that of the task.
         key: of `jax.random`.
         episodes: number of episodes, simulated at the same time.
-        steps: control steps; None for the task's episode.
+        steps: control steps, at most those of the task's episode; None for all of them.
         threads: threads of MuJoCo.
         progress: function (done, total), called after each control step; or None.
 
@@ -53,7 +54,8 @@ def evaluate_in_mujoco(
         `Episodes`: returns, lengths, and whether they were terminated.
 
     Raises:
-        InputError: another robot or timestep, or a task that randomises its model.
+        InputError: another robot or timestep, actuators with states, or a task that randomises its
+            model.
 
     Source: MuJoCo documentation, *Python bindings*, rollout.
 
@@ -70,6 +72,9 @@ def evaluate_in_mujoco(
     instance("evaluate_in_mujoco", "env", env, Environment, "an rb.envs.Environment")
     check_key("evaluate_in_mujoco", key)
     integer("evaluate_in_mujoco", "episodes", episodes, least=1)
+    integer("evaluate_in_mujoco", "threads", threads, least=1)
+    total = env.episode if steps is None else steps
+    integer("evaluate_in_mujoco", "steps", total, least=1, most=env.episode)
     _check_same(env, mj_model)
     sample, params, count = env._sample, env.default_params, env.task.decimation
     one, two = jax.random.split(key)
@@ -78,34 +83,37 @@ def evaluate_in_mujoco(
     @jax.jit
     def prepare(state: Any, obs: Any, key: jax.Array) -> tuple:
         action = jax.vmap(lambda o: policy(o, None))(obs)
-        keys = jax.random.split(key, episodes)
-        last, ctrl = jax.vmap(lambda k, s, a: sample.prepare(k, s, a, params))(keys, state, action)
-        return last, action, ctrl
+
+        def each(key: jax.Array, state: Any, action: Any) -> tuple:
+            event, rest = jax.random.split(key)
+            return *sample.prepare(event, state, action, params), rest
+
+        keys = jax.random.split(key, (2, episodes))[1]  # as in `evaluate`
+        return action, *jax.vmap(each)(keys, state, action)
 
     @jax.jit
-    def finish(last: Any, action: Any, ctrl: Any, moved: Any, key: jax.Array) -> tuple:
+    def finish(keys: Any, last: Any, action: Any, ctrl: Any, moved: Any) -> tuple:
         def each(key: jax.Array, last: Any, action: Any, ctrl: Any, moved: Any) -> tuple:
-            ends, noise = jax.random.split(key)
+            ends, _, noise = jax.random.split(key, 3)
             state, reward, done, info = sample.finish(ends, last, action, ctrl, moved, params)
-            obs, state = sample.observe(noise, state, params, False)
+            obs, state = sample.observe(noise, last, state, params, False)
             return obs, state, reward, done, info["terminated"]
 
-        return jax.vmap(each)(jax.random.split(key, episodes), last, action, ctrl, moved)
+        return jax.vmap(each)(keys, last, action, ctrl, moved)
 
     zero = np.zeros(episodes)
     running, returns, lengths = np.ones(episodes, bool), zero.copy(), zero.astype(int)
     ended = np.zeros(episodes, bool)
     data = [mujoco.MjData(mj_model) for _ in range(threads)]
-    total = env.episode if steps is None else steps
+    keys = jax.random.split(two, env.episode)
     for i in range(total):
-        keys = jax.random.split(jax.random.fold_in(two, i))
-        last, action, ctrl = prepare(state, obs, keys[0])
+        action, last, ctrl, rest = prepare(state, obs, keys[i])
         motion, rate = _advance(mj_model, data, last.state, np.asarray(ctrl, float), count)
         kept = last.state.replace(
             q=jnp.asarray(motion[0], env.dtype), v=jnp.asarray(motion[1], env.dtype)
         )
         moved = kept, jnp.asarray(rate, env.dtype)
-        obs, state, reward, done, terminated = finish(last, action, ctrl, moved, keys[1])
+        obs, state, reward, done, terminated = finish(rest, last, action, ctrl, moved)
         returns += np.where(running, np.asarray(reward), 0.0)
         lengths += running
         ended |= running & np.asarray(terminated)
@@ -144,6 +152,16 @@ def _check_same(env: Environment, mj_model: mujoco.MjModel) -> None:
     due = model.nq, model.nv, model.nu
     if got != due:
         raise InputError(f"{where}: mj_model has (nq, nv, nu) = {got}, expected {due}")
+    joints = [mj_model.joint(j).name for j in range(mj_model.njnt)]
+    if all(joints) and joints != list(model.joint_names):
+        raise InputError(
+            f"{where}: mj_model has the joints {joints}, expected {list(model.joint_names)}"
+        )
+    if mj_model.na:
+        raise InputError(
+            f"{where}: mj_model has {mj_model.na} states of actuators, expected none: they are not "
+            "passed on from one control step to the next"
+        )
     step = env.dt / env.task.decimation
     if abs(mj_model.opt.timestep - step) > 1e-6 * step:
         raise InputError(

@@ -201,7 +201,9 @@ def test_float32():
         env = rb.envs.Environment(task(model=rb.load("cart_pole")))
         obs, state = env.reset(jax.random.key(0))
         obs, state, reward, *_ = env.step(jax.random.key(0), state, jnp.zeros(1))
-        assert {x.dtype for x in (obs, reward, state.state.q, state.rate)} == {jnp.dtype("float32")}
+        assert {x.dtype for x in (obs, reward, state.state.q, state.acceleration)} == {
+            jnp.dtype("float32")
+        }
 
 
 @pytest.mark.parametrize(
@@ -218,6 +220,14 @@ def test_float32():
         ({"start": lambda key, params: rb.State(jnp.zeros(3), jnp.zeros(2))}, "start returned"),
         ({"terminations": {"t": lambda to: to.after.v > 0}}, "termination 't' returned shape"),
         ({"decimation": 0}, "decimation"),
+        ({"dt": 0.0}, "dt"),
+        ({"terminations": {"t": lambda to: to.step}}, "expected a bool"),
+        ({"observations": {"policy": ()}}, "is empty"),
+        ({"observations": {"policy": (Observation("x", lambda to: 1.0, delay=1),)}}, "delay"),
+        ({"observations": {"policy": (Observation("x", lambda to: 1.0, noise=[1, 2]),)}}, "(2,)"),
+        ({"action": rb.envs.Offset((0.0, 0.0))}, "rest has shape (2,)"),
+        ({"action": rb.envs.Increment(1.0, (0.0, 0.0))}, "start has shape (2,)"),
+        ({"values": {"a": "word"}}, "'word'"),
         ({"episode": 0}, "episode"),
     ],
 )  # fmt: skip
@@ -234,6 +244,8 @@ def test_wrong_arguments():
         env.step(jax.random.key(0), state, jnp.zeros(2))
     with pytest.raises(rb.InputError, match="expected a key"):
         env.reset(0)
+    with pytest.raises(rb.InputError, match="batch of keys"):
+        env.reset(keys(3))
     params = env.default_params
     with pytest.raises(rb.InputError, match="weights"):
         env.reset(jax.random.key(0), params.replace(weights={}))
@@ -277,3 +289,52 @@ def test_a_step_is_traced_once_for_all_programs():
     changed = env.default_params.replace(noise=jnp.ones(()) * 2)
     assert jax.jit(lambda *given: jax.vmap(env.step, (0, 0, 0, None))(*given, changed))(*given)
     assert len(count) > before  # other constants are another program
+
+
+@pytest.mark.parametrize("kernel", [None, False])
+def test_observations_read_the_step_before(kernel):
+    terms = (
+        Observation("actions", lambda to: jnp.concatenate([to.action, to.last_action])),
+        Observation("change", lambda to: to.after.q - to.before.q),
+        Observation("controls", lambda to: jnp.concatenate([to.ctrl, to.last_ctrl])),
+    )
+    env = rb.envs.Environment(task(observations={"policy": terms}, episode=2), kernel=kernel)
+    obs, state = env.reset(jax.random.key(0))
+    assert not obs.any()
+    q = state.state.q
+    obs, state, *_ = env.step(jax.random.key(1), state, jnp.ones(1))
+    np.testing.assert_array_equal(obs[:2], [1, 0])
+    np.testing.assert_allclose(obs[2:4], state.state.q - q, atol=1e-15)
+    np.testing.assert_array_equal(obs[4:], [20, 0])
+    once, *_ = env.step_once(jax.random.key(2), state, -jnp.ones(1))
+    np.testing.assert_array_equal(once[:2], [-1, 1])
+    np.testing.assert_array_equal(once[4:], [-20, 20])
+    obs, state, _, done, _ = env.step(jax.random.key(2), state, -jnp.ones(1))
+    assert done and not obs.any()  # the first observation of the next episode
+
+
+def test_a_reward_that_is_not_finite_ends_the_episode():
+    bad = Reward("root", lambda to: jnp.sqrt(-1 - to.after.q[0] ** 2))
+    env = rb.envs.Environment(task(rewards=(bad,)))
+    _, state = env.reset(jax.random.key(0))
+    *_, reward, done, info = env.step(jax.random.key(0), state, jnp.zeros(1))
+    assert reward == 0 and done and info["failed"] and info["terminated"]
+    assert done.dtype == bool
+
+
+def test_randomised_entries_share_a_factor_or_not():
+    low, high = jnp.array([1.0, 2.0]), jnp.array([2.0, 4.0])
+    for each in (False, True):
+        draw = rb.envs.scale("m", lambda m: m.bodies.mass, low, high, each=each).draw
+        env = rb.envs.Environment(task())
+        values = jax.vmap(lambda key: draw(key, env.default_params))(keys(50))  # noqa: B023
+        share = (values - low) / (high - low)
+        assert (np.abs(share[:, 0] - share[:, 1]).max() < 1e-12) == (not each)
+        assert values.min() >= 1 and (values <= high).all()
+
+
+def test_time_steps_and_values():
+    env = rb.envs.Environment(task(dt=0.004, decimation=5, values={"count": 3, "on": True}))
+    assert env.dt == 0.004 * 5
+    values = env.default_params.values
+    assert values["count"].dtype == env.dtype and values["on"].dtype == bool

@@ -126,7 +126,7 @@ def playground_terms(before, action, after, done, robot):
     hip = np.abs(offset[HIP_YAW]).sum() + (c[1] <= 0.1) * np.abs(offset[HIP_ROLL]).sum()
     moves = np.hypot(v[0], v[1]) > 0.1 or abs(w[2]) > 0.1 or np.linalg.norm(c) > 0.01
     hands = any(robot.touch(f"{s}_hand", f"{s}_thigh") for s in ("left", "right"))
-    load = loads(robot, after.rate, touch)
+    load = loads(robot, after.acceleration, touch)
     terms = {
         "tracking_lin_vel": np.exp(-np.sum((c[:2] - own[:2]) ** 2) / 0.25),
         "tracking_ang_vel": 0.75 * np.exp(-((c[2] - (R.T @ w)[2]) ** 2) / 0.25),
