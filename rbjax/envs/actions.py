@@ -155,7 +155,8 @@ class Increment:
 
     def initial_ctrl(self, model: Model) -> Any:
         """Return the controls (nu,) before the first step."""
-        return np.zeros(model.nu) if self.start is None else self.start
+        start = 0.0 if self.start is None else self.start
+        return np.broadcast_to(np.asarray(start), (model.nu,))
 
     def ctrl(self, action: jax.Array, state: EnvState, params: Params) -> jax.Array:
         """Compute the controls (nu,)."""

@@ -218,9 +218,9 @@ class ControlStep:
         """Return the observation, and the state with the buffers of delayed terms.
 
         last: state before the control step.
-        is_reset: False, or whether an episode begins at the state (traced). Terms then read a transition from the
-            initial state to itself, and delayed terms begin with their first value. None: the
-            buffers do not exist yet.
+        is_reset: whether an episode begins at the state, traced. Terms then read a transition from
+            the initial state to itself, and delayed terms begin with their first value. False: no
+            reset. None: the buffers do not exist yet.
         """
         params = self.with_drawn(params, state.drawn)
         if isinstance(is_reset, jax.Array):

@@ -1,7 +1,7 @@
 """A policy in MuJoCo C: episodes of a task whose physics are MuJoCo's.
 
-The controls go to MuJoCo, and its states come back. Observations, rewards and terminations are those
-of the task, and random numbers those of `rb.envs.learning.evaluate` with the same key. So the
+The controls go to MuJoCo, and its states come back. Observations, rewards and terminations are
+those of the task, and random numbers those of `rb.envs.learning.evaluate` with the same key. So the
 difference of the returns is that of the physics.
 """
 
