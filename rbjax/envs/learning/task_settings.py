@@ -53,7 +53,7 @@ CPU_PPO = FEW | {
     "discounting": 0.98, "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0,
     "max_grad_norm": 1.0,
 }  # fmt: skip
-CPU_BATCH = 64  # of SHAC
+CPU_BATCH = 128  # of SHAC
 
 #: SHAC: arguments of `rbjax.envs.learning.shac`; steps = iterations * batch * horizon
 SHAC: dict[str, Any] = {
@@ -92,8 +92,8 @@ def settings(
         task: name of a task; None for the general settings, which a task without settings of its
             own has, too.
         algorithm: "ppo" or "shac".
-        backend: "cpu", "gpu"; None for the present one. A CPU has few samples: 64 at a time. They
-            show that a training runs; a legged robot learns to walk on a GPU.
+        backend: "cpu", "gpu"; None for the present one. A CPU has few samples: 64 at a time in PPO,
+            128 in SHAC. For a legged robot that shows only that a training runs.
 
     Returns:
         Arguments of `ppo` or of `shac`, and "steps", the steps of the robot in the training.

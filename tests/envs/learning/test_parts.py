@@ -172,7 +172,8 @@ def test_settings_fit_the_learners():
     for task in (*rb.envs.tasks(), None):  # a CPU has few samples
         assert settings(task, "ppo", "cpu")["num_envs"] == 64
         on_gpu, on_cpu = (settings(task, "shac", backend) for backend in ("gpu", "cpu"))
-        assert on_cpu["batch"] == 64 <= on_gpu["batch"] and on_cpu["steps"] < on_gpu["steps"]
+        iterations = [x["steps"] // x["batch"] // x["horizon"] for x in (on_gpu, on_cpu)]
+        assert on_cpu["batch"] == 128 <= on_gpu["batch"] and iterations[0] == iterations[1]
     assert ALGORITHMS == ("ppo", "shac")
     with pytest.raises(UnknownName, match="algorithm"):
         settings(None, "sac")

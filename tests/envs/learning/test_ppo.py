@@ -22,7 +22,8 @@ SMALL = {
 @pytest.mark.slow
 def test_the_policy_and_the_critic_are_those_of_brax():
     """A training of two reports with two groups of observations; the mean action and the value of
-    Brax' networks, with its own parameters, and a report with the terms of the reward."""
+    Brax' networks, with its own parameters, and a report with the terms of the reward. Parameters
+    that are passed are used, in place of the curriculum: a reward of twice the weight."""
     from brax.training.acme import running_statistics
     from brax.training.agents.ppo import networks
 
@@ -30,9 +31,10 @@ def test_the_policy_and_the_critic_are_those_of_brax():
     groups = {"policy": (Observation("q", lambda to: to.after.q),),
               "critic": (Observation("state", observe),)}  # fmt: skip
     with jax.enable_x64(False):
-        env = environment(observations=groups)
+        env = environment(observations=groups, curriculum=lambda params, progress: params)
+        params = env.default_params.replace(weights={"upright": jnp.asarray(2.0)})
         found = ppo(
-            env, KEY, reports=2, **SMALL,
+            env, KEY, reports=2, params=params, **SMALL,
             report=lambda steps, figures, policy: seen.append((steps, figures, policy)),
             keep=kept.update,
         )  # fmt: skip
@@ -51,6 +53,7 @@ def test_the_policy_and_the_critic_are_those_of_brax():
     assert seen[0][0] == 0 and len(seen) == 3
     assert seen[1][0] < seen[2][0] >= 200
     assert {"reward", "reward_std", "length", "reward/upright"} <= set(seen[1][1])
+    assert seen[0][1]["reward"] > 6 and seen[0][1]["failed"] == 0  # 5 with the weight of the task
     assert abs(seen[1][1]["reward"] - seen[1][1]["reward/upright"]) < 1e-4
     assert seen[1][2].network.sizes == (2, 8, 4, 2)
     assert found.rewards.shape == (3,) and np.isfinite(found.rewards).all()
