@@ -12,6 +12,7 @@ Files:
     checks.py: checks of tasks and parameters.
     registry.py: `tasks`, `make`, `register`.
     terrain.py: `rough_ground`.
+    robot_files.py: the paths of the files of robots.
 
 Subpackages:
     adapters: the environments in the interfaces of learning libraries.

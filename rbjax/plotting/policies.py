@@ -14,6 +14,7 @@ from rbjax import contact as contacts_of
 from rbjax.arguments import instance, integer, real_number
 from rbjax.contact import ContactForces
 from rbjax.envs import Environment, EnvState, Params
+from rbjax.envs.actions import action_center_and_scale
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.trajectory import Trajectory
@@ -55,7 +56,7 @@ def record_policy(
     Args:
         env: the environment.
         policy: function (observation, key) that returns an action (na,); None for random actions,
-            uniform in `env.action_range`.
+            uniform in `env.action_range`, and in -1..1 without two limits.
         seconds: duration; None for one episode, or 10 s of a longer one.
         samples: number of robots.
         seed: of the random numbers.
@@ -189,7 +190,8 @@ def _kept(state: EnvState) -> tuple:
 
 
 def _random_actions(env: Environment) -> Policy:
-    low, high = (np.nan_to_num(x, posinf=1.0, neginf=-1.0) for x in env.action_range)
+    _, center, scale = action_center_and_scale(*env.action_range)
+    low, high = center - scale, center + scale
 
     def act(obs: Any, key: jax.Array) -> jax.Array:
         return jax.random.uniform(key, (env.action_size,), env.dtype, low, high)

@@ -121,6 +121,24 @@ def test_planar_start():
     assert np.abs(q[:, 1]).max() <= np.pi and np.ptp(q[:, 1]) > 5
 
 
+def test_random_base():
+    def draw(key):
+        return terms.random_base(*jax.random.split(key), 0.3, 0.2)
+
+    q = np.asarray(jax.vmap(draw)(jax.random.split(jax.random.key(0), 200)))
+    assert (abs(q[:, :2]) <= 0.2).all() and np.ptp(q[:, :2]) > 0.35
+    np.testing.assert_allclose(q[:, 2], 0.3)
+    assert (q[:, 4:6] == 0).all() and np.ptp(2 * np.arctan2(q[:, 6], q[:, 3])) > 6
+    np.testing.assert_allclose((q[:, 3:] ** 2).sum(1), 1.0)
+
+
+def test_clipped_sum():
+    rewards = {"a": 3.0, "b": -1.0}
+    assert terms.clipped_sum(-1.0, 1.5)(rewards, 0.02) == 1.5
+    assert terms.clipped_sum(-1.0, 1.5, times_dt=True)(rewards, 0.02) == pytest.approx(0.04)
+    assert terms.clipped_sum(0.0, 1.0)({"a": -3.0}, 0.02) == 0.0
+
+
 def test_motion_of_a_policy():
     env = rb.envs.make("cart_pole_balance")
     found = subject_of_policy(

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -24,13 +23,12 @@ import jax.numpy as jnp
 
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
 from rbjax.envs.terms.products import product_of_rewards
 from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.loading import load
 from rbjax.model import State
-
-FILE = Path(__file__).parents[1] / "robots" / "cart_pole_on_rail.xml"
 
 
 @register("cart_pole_balance")
@@ -64,7 +62,7 @@ def cart_pole_swing_up(*, sparse: bool = False) -> Task:
 def _task(name: str, start: Callable[[jax.Array, Params], State], sparse: bool) -> Task:
     return Task(
         name,
-        load(str(FILE)),
+        load(robot_file("cart_pole_on_rail")),
         start,
         {
             "policy": (

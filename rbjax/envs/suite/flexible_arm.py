@@ -11,15 +11,16 @@ The motor acts at one end and the payload is at the other: the system is not min
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.envs import terms
 from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task, Variable, scale
 from rbjax.envs.transition import Transition
 from rbjax.flexible.beams import Beam, beam
@@ -28,7 +29,6 @@ from rbjax.flexible.elasticity import BeamElasticity
 from rbjax.loading import load
 from rbjax.model import Model, State
 
-FILE = Path(__file__).parents[1] / "robots" / "flexible_arm.xml"
 LENGTH, HUB = 0.9, 0.05  # of the strip, and radius at which it is clamped, m
 
 
@@ -52,7 +52,7 @@ def flexible_arm() -> Model:
         >>> flexible_arm().nv
         4
     """
-    return strip().replace_joint(load(FILE), "strip")
+    return strip().replace_joint(load(robot_file("flexible_arm")), "strip")
 
 
 @register("damp_flexible_arm")
@@ -100,7 +100,7 @@ def damp_flexible_arm(*, randomise: bool = True) -> Task:
             Reward("reach", reach, 1.0),
             Reward("swing", swing, -0.1),
             Reward("effort", lambda to: (to.ctrl**2).sum(), -0.02),
-            Reward("smooth", lambda to: ((to.action - to.last_action) ** 2).sum(), -0.02),
+            Reward("smooth", terms.action_rate, -0.02),
         ),
         action=Scaled(),
         variables=(Variable("goal", draw_goal, update=next_goal),),

@@ -17,7 +17,6 @@ never happens, and is left out. Reward terms of weight zero are left out too.
 from __future__ import annotations
 
 import math
-from importlib import resources
 from typing import Any
 from xml.etree import ElementTree
 
@@ -30,6 +29,7 @@ from rbjax.envs import terms
 from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.loading import load
 from rbjax.model import Model, State
@@ -107,7 +107,7 @@ def g1_joystick(
 
 def _model(hand_contacts: bool) -> Model:
     """Load the robot, with or without the contact pairs of hands and thighs."""
-    root = ElementTree.fromstring((resources.files("rbjax.envs") / "robots/g1.xml").read_text())
+    root = ElementTree.fromstring(robot_file("g1").read_text())
     pairs: Any = root.find("contact")
     for pair in list(pairs):
         if not hand_contacts and pair.get("name", "").endswith("hand_thigh"):
@@ -118,14 +118,11 @@ def _model(hand_contacts: bool) -> Model:
 def _start(key: jax.Array, params: Params) -> State:
     """Draw a place, a yaw, a pose of the joints and a small velocity."""
     place, turn, pose, speed = jax.random.split(key, 4)
-    xy = jax.random.uniform(place, (2,), minval=-0.5, maxval=0.5)
-    half = 0.5 * jax.random.uniform(turn, (), minval=-math.pi, maxval=math.pi)
-    quaternion = jnp.stack([jnp.cos(half), 0.0 * half, 0.0 * half, jnp.sin(half)])
-    home = jnp.asarray(HOME, xy.dtype)
+    base = terms.random_base(place, turn, HEIGHT)
+    home = jnp.asarray(HOME, base.dtype)
     joints = home * jax.random.uniform(pose, home.shape, minval=0.5, maxval=1.5)
     v = jax.random.uniform(speed, (6,), minval=-0.5, maxval=0.5)
-    q = jnp.concatenate([xy, jnp.asarray([HEIGHT], xy.dtype), quaternion, joints])
-    return State(q, jnp.concatenate([v, jnp.zeros_like(home)]))
+    return State(jnp.concatenate([base, joints]), jnp.concatenate([v, jnp.zeros_like(home)]))
 
 
 def _policy() -> tuple[Observation, ...]:

@@ -12,9 +12,6 @@ The numbers are those of MuJoCo Playground's Go1JoystickFlatTerrain and Go1Joyst
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from importlib import resources
 from typing import Any
 
 import jax
@@ -26,6 +23,7 @@ from rbjax.envs import terms
 from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.envs.terrain import rough_ground
 from rbjax.loading import load
@@ -64,7 +62,7 @@ def go1_joystick_flat(
         >>> task.model.nu, task.decimation
         (12, 5)
     """
-    model = load(str(resources.files("rbjax.envs") / "robots" / "go1.xml"))
+    model = load(robot_file("go1"))
     return _task("go1_joystick_flat", model, HEIGHT, pushes, randomise, iterations)
 
 
@@ -95,7 +93,7 @@ def go1_joystick_rough(
         >>> task.model.geoms.heights[0].shape
         (256, 256)
     """
-    xml = (resources.files("rbjax.envs") / "robots" / "go1.xml").read_text()
+    xml = robot_file("go1").read_text()
     model = load(rough_ground(xml, height=height, seed=seed, friction=1.0))
     return _task("go1_joystick_rough", model, ROUGH_HEIGHT, pushes, randomise, iterations)
 
@@ -118,13 +116,8 @@ def _task(
         randomise=_randomisations(model) if randomise else (),
         contact=None if iterations is None else SoftContact(iterations),
         decimation=DECIMATION, dt=DT / DECIMATION, episode=1000,
-        values=_values(pushes), total=clipped_sum, tracked=BODY,
+        values=_values(pushes), total=terms.clipped_sum(0.0, 1e4, times_dt=True), tracked=BODY,
     )  # fmt: skip
-
-
-def clipped_sum(rewards: Mapping[str, jax.Array], dt: Any) -> jax.Array:
-    """Compute the reward of a step: dt times the sum of the terms, at least 0."""
-    return jnp.clip(dt * sum(rewards.values()), 0.0, 1e4)
 
 
 def start(height: float) -> Any:
@@ -132,15 +125,10 @@ def start(height: float) -> Any:
 
     def drawn(key: jax.Array, params: Params) -> State:
         place, turn, speed = jax.random.split(key, 3)
-        xy = jax.random.uniform(place, (2,), minval=-0.5, maxval=0.5)
-        half = 0.5 * jax.random.uniform(turn, (), minval=-math.pi, maxval=math.pi)
-        fixed = jnp.asarray([height, 0.0, *HOME], xy.dtype)
-        quaternion = jnp.stack([jnp.cos(half), 0.0 * half, 0.0 * half, jnp.sin(half)])
+        base = terms.random_base(place, turn, height)
         v = jax.random.uniform(speed, (6,), minval=-0.5, maxval=0.5)
-        rest = jnp.zeros(len(HOME), xy.dtype)
-        return State(
-            jnp.concatenate([xy, fixed[:1], quaternion, fixed[2:]]), jnp.concatenate([v, rest])
-        )
+        home = jnp.asarray(HOME, base.dtype)
+        return State(jnp.concatenate([base, home]), jnp.concatenate([v, jnp.zeros_like(home)]))
 
     return drawn
 

@@ -18,13 +18,13 @@ Source: Tassa et al., *DeepMind Control Suite*, 2018 (hopper); step and resets o
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
 from rbjax.envs.terms.products import product_of_rewards
 from rbjax.envs.terms.sigmoids import tolerance
@@ -33,7 +33,6 @@ from rbjax.loading import load
 from rbjax.model import Frame
 from rbjax.sensors import SubtreeVelocity, Touch, Volume
 
-FILE = Path(__file__).parents[1] / "robots" / "hopper.xml"
 STANDING_HEIGHT = 0.6
 HOPPING_SPEED = 2.0
 
@@ -71,7 +70,7 @@ def hopper_hop(*, touch: bool = True) -> Task:
 
 
 def _task(name: str, second: Any, touch: bool) -> Task:
-    model = load(str(FILE))
+    model = load(robot_file("hopper"))
     terms = [
         Observation("position", lambda to: to.after.q[1:]),
         Observation("velocity", lambda to: to.after.v),

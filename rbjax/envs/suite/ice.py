@@ -13,7 +13,6 @@ The centre line is a Fourier series, so terms of the task are smooth functions o
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -21,9 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints import Place
+from rbjax.envs import terms
 from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task, scale
 from rbjax.envs.transition import Transition
 from rbjax.loading import load
@@ -31,7 +32,6 @@ from rbjax.model import Model, State
 from rbjax.wheeled.tyres.element import TyreOnGround
 from rbjax.wheeled.tyres.laws import Fiala
 
-FILE = Path(__file__).parents[1] / "robots" / "ice_car.xml"
 WHEELS = "front_wheel", "rear_wheel"
 RADIUS = 0.05  # of the wheels, m
 STIFFNESS, ONSET = 2e3, 1e-4  # of the tyres' springs, N/m and m
@@ -56,7 +56,7 @@ def ice_car(friction: float = 0.25, slip_stiffness: float = 5.0) -> Model:
         >>> ice_car(0.2).joint_names
         ('x', 'y', 'heading', 'steering', 'front', 'rear')
     """
-    model = load(FILE)
+    model = load(robot_file("ice_car"))
     mass, at = np.asarray(model.bodies.mass), np.asarray(model.bodies.position)[:, 0]  # car at 0
     front, rear = (at[model.body(name)] for name in WHEELS)
     share = ((mass * at).sum() / mass.sum() - rear) / (front - rear)  # of the front axle
@@ -110,8 +110,8 @@ def race_on_ice(*, randomise: bool = True) -> Task:
         rewards=(
             Reward("progress", progress, 1.0),
             Reward("edge", edge, -1.0),
-            Reward("smooth", lambda to: ((to.action - to.last_action) ** 2).sum(), -0.02),
-            Reward("off_track", lambda to: jnp.where(to.terminated, 1.0, 0.0), -50.0),
+            Reward("smooth", terms.action_rate, -0.02),
+            Reward("off_track", terms.terminated, -50.0),
         ),
         action=Scaled(),
         terminations={"left_track": left_track, "turned_around": turned_around},

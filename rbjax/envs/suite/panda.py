@@ -17,8 +17,6 @@ Source: MuJoCo Playground 0.2.0, PandaPickCube and PandaPickCubeOrientation (Zak
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -28,15 +26,16 @@ import numpy as np
 from rbjax.envs.actions import Increment
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task, Variable
 from rbjax.envs.terms.frames import norm
+from rbjax.envs.terms.products import clipped_sum
 from rbjax.envs.terms.touch import any_touching
 from rbjax.lanes import Mat3
 from rbjax.lanes.algebra import quaternion_matrix
 from rbjax.loading import load
 from rbjax.model import State
 
-FILE = Path(__file__).parents[1] / "robots" / "panda_cube.xml"
 ARM, CUBE = 7, 9  # joints of the arm; the coordinate at which those of the cube begin
 REACHED = 0.012  # m
 LARGEST_TILT = math.radians(45)
@@ -54,7 +53,7 @@ def panda_pick_cube(*, orientation: bool = False) -> Task:
         >>> env.observation_size, env.action_size
         (66, 8)
     """
-    model = load(str(FILE))
+    model = load(robot_file("panda_cube"))
     q_home = np.asarray(model.keyframe("home").q)
 
     def start(key: jax.Array, params: Params) -> State:
@@ -94,7 +93,7 @@ def panda_pick_cube(*, orientation: bool = False) -> Task:
         terminations={"out_of_bounds": out_of_bounds},
         decimation=4,
         episode=150,
-        total=limited_sum,
+        total=clipped_sum(-1e4, 1e4),
         tracked="hand",
     )
 
@@ -106,11 +105,6 @@ def tilted(key: jax.Array, params: Params) -> jax.Array:
     half = 0.5 * jax.random.uniform(of_angle, (), maxval=LARGEST_TILT)
     unit = axis / jnp.sqrt((axis * axis).sum())
     return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * unit])
-
-
-def limited_sum(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
-    """Compute the sum of the weighted terms, within -10,000..10,000. dt is not used."""
-    return jnp.clip(sum(rewards.values()), -1e4, 1e4)
 
 
 def _rows(R: Mat3, first: int, to: Any) -> jax.Array:

@@ -11,7 +11,6 @@ unstable: without steering the trailer jackknifes.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -20,15 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints import KnifeEdge, Place
+from rbjax.envs import terms
 from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Randomisation, Reward, Task, offset
 from rbjax.envs.transition import Transition
 from rbjax.loading import load
 from rbjax.model import Model, State
 
-FILE = Path(__file__).parents[1] / "robots" / "car_with_trailer.xml"
 #: the box of the trailer in the axes of its axle, m: rear end, front end, half width
 REAR, FRONT, HALF_WIDTH = -0.4, 0.5, 0.25
 
@@ -47,7 +47,9 @@ def car_with_trailer() -> Model:
         Place.on(body="front_wheel", axis=ahead),
         Place.on(site="trailer_axle", axis=ahead),
     )
-    return load(FILE).with_constraints(*(KnifeEdge(Place.on(), place) for place in places))
+    return load(robot_file("car_with_trailer")).with_constraints(
+        *(KnifeEdge(Place.on(), place) for place in places)
+    )
 
 
 @register("park_trailer")
@@ -91,7 +93,7 @@ def park_trailer(*, randomise: bool = True) -> Task:
             Reward("near", near, 1.0),
             Reward("parked", parked, 2.0),
             Reward("hitch", lambda to: to.after.q[4] ** 2, -0.2),
-            Reward("smooth", lambda to: ((to.action - to.last_action) ** 2).sum(), -0.1),
+            Reward("smooth", terms.action_rate, -0.1),
         ),
         action=Scaled(),
         terminations={

@@ -17,20 +17,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from rbjax.envs.registry import register
+from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
 from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.envs.terms.starts import planar_start
 from rbjax.loading import load
 from rbjax.sensors import SubtreeVelocity
 
-FILE = Path(__file__).parents[1] / "robots" / "walker.xml"
 STANDING_HEIGHT = 1.2
 
 _VELOCITY = SubtreeVelocity("torso")
@@ -77,7 +76,7 @@ def walker_run(*, speed: float = 8.0) -> Task:
 
 
 def _task(name: str, speed: float | None) -> Task:
-    model = load(str(FILE))
+    model = load(robot_file("walker"))
     rewards = [Reward("standing", standing), Reward("upright", upright)]
     if speed is not None:
         rewards.append(Reward("moving", moving))

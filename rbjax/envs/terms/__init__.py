@@ -14,8 +14,8 @@ Files:
     pushes.py: pushes.
     randomisations.py: domain randomisation of robots.
     sigmoids.py: `tolerance`, values between 0 and 1 by the distance from an interval.
-    products.py: rewards that are products of their terms.
-    starts.py: random angles at the start of an episode.
+    products.py: rewards that are products or clipped sums of their terms.
+    starts.py: random angles and poses at the start of an episode.
 """
 
 from rbjax.envs.terms.attitude import axis_error, fallen, gravity_direction, tilt
@@ -43,7 +43,7 @@ from rbjax.envs.terms.joints import (
     stand_still,
 )
 from rbjax.envs.terms.loads import excess_load, two_foot_loads
-from rbjax.envs.terms.products import product_of_rewards
+from rbjax.envs.terms.products import clipped_sum, product_of_rewards
 from rbjax.envs.terms.pushes import force_pushes, velocity_pushes
 from rbjax.envs.terms.randomisations import (
     joint_randomisations,
@@ -53,7 +53,7 @@ from rbjax.envs.terms.randomisations import (
     shift_center_of_mass,
 )
 from rbjax.envs.terms.sigmoids import tolerance
-from rbjax.envs.terms.starts import planar_start
+from rbjax.envs.terms.starts import planar_start, random_base
 from rbjax.envs.terms.touch import any_touching, box_separation, touching
 from rbjax.envs.terms.velocities import (
     roll_and_pitch_rate,
@@ -71,6 +71,7 @@ __all__ = [
     "axis_error",
     "beyond_limits",
     "box_separation",
+    "clipped_sum",
     "excess_load",
     "fallen",
     "follow_phase",
@@ -93,6 +94,7 @@ __all__ = [
     "pose_similarity",
     "power",
     "product_of_rewards",
+    "random_base",
     "roll_and_pitch_rate",
     "set_friction",
     "set_pair_friction",

@@ -1,12 +1,13 @@
-"""`product_of_rewards`, for terms between 0 and 1."""
+"""Functions of the weighted reward terms that return the reward of a control step."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 
 def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
@@ -22,3 +23,27 @@ def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
         0.25
     """
     return math.prod(rewards.values())
+
+
+def clipped_sum(
+    low: float, high: float, *, times_dt: bool = False
+) -> Callable[[Mapping[str, jax.Array], Any], Any]:
+    """Return the function of the reward of a control step: the clipped sum of the weighted terms.
+
+    Use it as `Task.total`.
+
+    low, high: limits of the reward. times_dt: whether the sum is multiplied by the control step.
+
+    Source: Zakka et al., *MuJoCo Playground*, 2025.
+
+    Example:
+        >>> from rbjax.envs.terms import clipped_sum
+        >>> float(clipped_sum(0.0, 10.0)({"forward": 2.0, "effort": -5.0}, 0.02))
+        0.0
+    """
+
+    def total(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
+        found = sum(rewards.values())
+        return jnp.clip(dt * found if times_dt else found, low, high)
+
+    return total

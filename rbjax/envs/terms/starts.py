@@ -1,4 +1,4 @@
-"""`planar_start`: random initial angles of a planar robot."""
+"""Random initial states: angles of a planar robot, pose of a floating base."""
 
 from __future__ import annotations
 
@@ -33,3 +33,23 @@ def planar_start(model: Model, root: str) -> Callable[[jax.Array, Params], State
         return State(q, jnp.zeros(model.nv))
 
     return start
+
+
+def random_base(place: jax.Array, turn: jax.Array, height: float, reach: float = 0.5) -> jax.Array:
+    """Draw the pose q (7,) of a level floating base: position, quaternion.
+
+    place, turn: keys of random numbers. height: m, of the base.
+    reach: m; x and y are uniform in -reach..reach. The yaw is uniform in -pi..pi.
+
+    Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 and G1 joystick.
+
+    Example:
+        >>> import jax
+        >>> from rbjax.envs.terms import random_base
+        >>> random_base(*jax.random.split(jax.random.key(0)), 0.3).shape
+        (7,)
+    """
+    xy = jax.random.uniform(place, (2,), minval=-reach, maxval=reach)
+    half = 0.5 * jax.random.uniform(turn, (), minval=-math.pi, maxval=math.pi)
+    quaternion = jnp.stack([jnp.cos(half), 0.0 * half, 0.0 * half, jnp.sin(half)])
+    return jnp.concatenate([xy, jnp.asarray([height], xy.dtype), quaternion])
