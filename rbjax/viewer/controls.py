@@ -25,14 +25,14 @@ class MotionControls:
 
     def __init__(self, server: Any, scene: Scene, fps: float):
         self.server, self.scene, self.fps = server, scene, fps
-        self.lasts = (scene.frames - 1) / fps
+        self.duration = (scene.frames - 1) / fps
         self.time, self.pressed = 0.0, 0
         gui = server.gui
         self.play = gui.add_button("stop")
         self.play.on_click(self._press)
         self.playing = True
-        step = max(self.lasts / 1000, 1e-4)
-        self.slider = gui.add_slider("time [s]", 0.0, max(self.lasts, step), step, 0.0)
+        step = max(self.duration / 1000, 1e-4)
+        self.slider = gui.add_slider("time [s]", 0.0, max(self.duration, step), step, 0.0)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self.follow = gui.add_checkbox("follow", initial_value=scene.film.follow)
         has_forces, has_ghosts = scene.film.arrows is not None, len(scene.p) > 1
@@ -58,9 +58,9 @@ class MotionControls:
             self.play.label = "play"
         elif self.playing:
             self.time += passed * float(self.speed.value)
-            if self.time > self.lasts + _REST * float(self.speed.value):
+            if self.time > self.duration + _REST * float(self.speed.value):
                 self.time = 0.0
-        now = min(self.time, self.lasts)
+        now = min(self.time, self.duration)
         self.written = self.slider.value = round(now, 6)
         wanted = (
             now, self.forces.value, self.ghosts.value, self.spread.value, self.follow.value,
@@ -84,7 +84,7 @@ class MotionControls:
                 client.camera.position = client.camera.position + moved
 
 
-class PostureControls:
+class JointSliders:
     """A slider for each velocity coordinate of a robot, from its default state."""
 
     def __init__(self, server: Any, scene: Scene, model: Model):

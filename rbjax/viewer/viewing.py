@@ -17,7 +17,7 @@ from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
-from rbjax.viewer.controls import MotionControls, PostureControls
+from rbjax.viewer.controls import JointSliders, MotionControls
 from rbjax.viewer.scene import Scene
 
 _FIELD = np.radians(45.0)
@@ -137,7 +137,7 @@ def view(
     scene = Scene(server, shown)
     _look(server, shown)
     controls: Any = (
-        PostureControls(server, scene, model)
+        JointSliders(server, scene, model)
         if trajectory is None
         else MotionControls(server, scene, fps)
     )

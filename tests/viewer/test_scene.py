@@ -12,7 +12,7 @@ import pytest
 import rbjax as rb
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.film import film, frames
-from rbjax.viewer.controls import MotionControls, PostureControls, ranges
+from rbjax.viewer.controls import JointSliders, MotionControls, ranges
 from rbjax.viewer.scene import Scene
 from tests.plotting.test_contact_arrows import BALL, forces
 from tests.viewer.false_server import FalseServer
@@ -151,7 +151,7 @@ def test_sliders_of_joints(arms) -> None:
     model, _ = arms
     server, shapes = FalseServer(), rb.plotting.solids(ARM)
     scene = Scene(server, film(model, np.zeros(1), np.zeros((1, 1, 2)), shapes))
-    controls = PostureControls(server, scene, model)
+    controls = JointSliders(server, scene, model)
     assert [s.label for s in controls.sliders] == ["shoulder", "elbow"]
     assert (controls.sliders[0].min, controls.sliders[0].max) == (-1.0, 2.0)
 

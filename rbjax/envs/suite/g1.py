@@ -165,8 +165,8 @@ def _rewards(model: Model, feet: terms.Feet) -> tuple[Reward, ...]:
         Reward("tracking_ang_vel", terms.track_yaw_rate(PELVIS), 0.75),
         Reward("ang_vel_xy", terms.roll_and_pitch_rate(TORSO), -0.15),
         Reward("orientation", terms.axis_error(TORSO, (0.073, 0.0, 1.0)), -2.0),
-        Reward("feet_air_time", feet.flight(0.2, 0.5, always=True), 2.0),
-        Reward("feet_slip", feet.drift(PELVIS), -0.25),
+        Reward("feet_air_time", feet.air_time_reward(0.2, 0.5, always=True), 2.0),
+        Reward("feet_slip", feet.base_slip(PELVIS), -0.25),
         Reward("feet_phase", terms.follow_phase(feet, SWING, PELVIS), 1.0),
         Reward("stand_still", terms.stand_still(HOME), -1.0),
         Reward("termination", terms.terminated, -100.0),
@@ -174,7 +174,7 @@ def _rewards(model: Model, feet: terms.Feet) -> tuple[Reward, ...]:
         Reward("contact_force", terms.excess_load(feet, LOAD), -0.01),
         Reward("joint_deviation_knee", _deviation(model, ["knee"]), -0.1),
         Reward("joint_deviation_hip", _hip_deviation(model), -0.25),
-        Reward("dof_pos_limits", terms.beyond_limits(mid - half, mid + half), -1.0),
+        Reward("dof_pos_limits", terms.joint_limit_violation(mid - half, mid + half), -1.0),
         Reward("pose", terms.pose_error(HOME), -0.1),
     )
 

@@ -179,7 +179,7 @@ def _rewards(model: Model, feet: terms.Feet) -> tuple[Reward, ...]:
         Reward("lin_vel_z", terms.vertical_velocity(IMU), -0.5),
         Reward("ang_vel_xy", terms.roll_and_pitch_rate(IMU), -0.05),
         Reward("orientation", terms.tilt(IMU), -5.0),
-        Reward("dof_pos_limits", terms.beyond_limits(SOFT * lower, SOFT * upper), -1.0),
+        Reward("dof_pos_limits", terms.joint_limit_violation(SOFT * lower, SOFT * upper), -1.0),
         Reward("pose", terms.pose_similarity(HOME, [1.0, 1.0, 0.1] * 4), 0.5),
         Reward("termination", terms.terminated, -1.0),
         Reward("stand_still", terms.stand_still(HOME), -1.0),
@@ -189,7 +189,7 @@ def _rewards(model: Model, feet: terms.Feet) -> tuple[Reward, ...]:
         Reward("feet_clearance", feet.clearance(SWING), -2.0),
         Reward("feet_height", feet.swing_height(SWING), -0.2),
         Reward("feet_slip", feet.slip, -0.1),
-        Reward("feet_air_time", feet.flight(0.1), 0.1),
+        Reward("feet_air_time", feet.air_time_reward(0.1), 0.1),
     )
 
 

@@ -2,12 +2,12 @@
 
 Files:
     frames.py: motion of a frame, actuator forces.
-    velocities.py: tracking of velocity commands, unwanted velocities.
+    velocities.py: tracking of velocity commands, undesired velocities.
     attitude.py: direction of gravity, tilt, a fallen robot.
     joints.py: pose, joint limits, standing still.
     effort.py: forces, power, changes of the action.
     touch.py: whether geoms touch.
-    feet.py: contact, flight, slip and height of feet.
+    feet.py: contact, air time, slip and height of feet.
     loads.py: the forces of the floor on two feet.
     gait.py: a gait clock.
     commands.py: commands that change in time.
@@ -34,8 +34,8 @@ from rbjax.envs.terms.feet import Feet
 from rbjax.envs.terms.frames import Term
 from rbjax.envs.terms.gait import follow_phase, gait_clock, height_of_phase, phase_cosines
 from rbjax.envs.terms.joints import (
-    beyond_limits,
     joint_deviation,
+    joint_limit_violation,
     joint_offsets,
     joint_velocities,
     pose_error,
@@ -69,7 +69,6 @@ __all__ = [
     "action_rate",
     "any_touching",
     "axis_error",
-    "beyond_limits",
     "box_separation",
     "clipped_sum",
     "excess_load",
@@ -83,6 +82,7 @@ __all__ = [
     "height_of_phase",
     "joint_acceleration",
     "joint_deviation",
+    "joint_limit_violation",
     "joint_offsets",
     "joint_randomisations",
     "joint_velocities",

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.envs.terms.frames import Term, actuator_forces, hinges, norm
+from rbjax.envs.terms.frames import Term, actuator_forces, joint_entries, norm
 from rbjax.sensors.solution import solution_of
 
 
@@ -36,7 +36,7 @@ def squared_forces(t: Any) -> jax.Array:
 def power(t: Any) -> jax.Array:
     """Return the sum of |v_i f_i|, W. The last nu dofs are the driven ones, with gear 1."""
     f = actuator_forces(t.after)
-    return (jnp.abs(hinges(t.after.v, f.shape[0])) * jnp.abs(f)).sum()
+    return (jnp.abs(joint_entries(t.after.v, f.shape[0])) * jnp.abs(f)).sum()
 
 
 def action_rate(t: Any) -> jax.Array:
@@ -54,7 +54,7 @@ def joint_acceleration(count: int) -> Term:
     """Return the sum of v'^2 of the last `count` dofs, at the last physics step."""
 
     def read(t: Any) -> jax.Array:
-        a = hinges(solution_of(t.after).acceleration, count)
+        a = joint_entries(solution_of(t.after).acceleration, count)
         return (a * a).sum()
 
     return read

@@ -1,4 +1,4 @@
-"""Feet of a walking robot: variables of contact and flight, and the terms that read them.
+"""Feet of a walking robot: variables of contact and air time, and the terms that read them.
 
 `Feet` has the sites of the feet and the pairs of geoms whose touch is a contact. Its variables are
 
@@ -118,7 +118,9 @@ class Feet:
 
         return read
 
-    def flight(self, least: float, most: float | None = None, *, always: bool = False) -> Term:
+    def air_time_reward(
+        self, least: float, most: float | None = None, *, always: bool = False
+    ) -> Term:
         """Return the term: sum of min(air_time, most) - least, s, of the feet that land.
 
         always: whether it also counts without a command."""
@@ -131,7 +133,7 @@ class Feet:
 
         return read
 
-    def drift(self, frame: Any) -> Term:
+    def base_slip(self, frame: Any) -> Term:
         """Return the term: horizontal speed of a frame, m/s, times the number of touching feet."""
 
         def read(t: Any) -> jax.Array:

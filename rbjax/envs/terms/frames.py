@@ -49,7 +49,7 @@ def norm(x: jax.Array) -> jax.Array:
     return jnp.asarray(safe_sqrt((x * x).sum()))
 
 
-def hinges(values: jax.Array, count: int) -> jax.Array:
+def joint_entries(values: jax.Array, count: int) -> jax.Array:
     """Return the last `count` entries of q or v: the joints of a robot with a floating base."""
     return values[values.shape[0] - count :]
 

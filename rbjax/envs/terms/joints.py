@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.envs.terms.frames import Term, hinges, norm
+from rbjax.envs.terms.frames import Term, joint_entries, norm
 
 #: a command of this norm or less is zero
 STILL = 0.01
@@ -24,7 +24,7 @@ def joint_offsets(home: Sequence[float]) -> Term:
     h = np.asarray(home)
 
     def read(t: Any) -> jax.Array:
-        q = hinges(t.after.q, len(h))
+        q = joint_entries(t.after.q, len(h))
         return q - jnp.asarray(h, q.dtype)
 
     return read
@@ -34,7 +34,7 @@ def joint_velocities(count: int) -> Term:
     """Observe the velocities (n,) of the last `count` joints."""
 
     def read(t: Any) -> jax.Array:
-        return hinges(t.after.v, count)
+        return joint_entries(t.after.v, count)
 
     return read
 
@@ -90,12 +90,12 @@ def stand_still(home: Sequence[float], command: str = "command") -> Term:
     return read
 
 
-def beyond_limits(lower: Sequence[float], upper: Sequence[float]) -> Term:
+def joint_limit_violation(lower: Sequence[float], upper: Sequence[float]) -> Term:
     """Return the sum of the distances of q_j beyond limits (n,), max(l - q, 0) + max(q - u, 0)."""
     low, high = np.asarray(lower), np.asarray(upper)
 
     def read(t: Any) -> jax.Array:
-        q = hinges(t.after.q, len(low))
+        q = joint_entries(t.after.q, len(low))
         below = jnp.maximum(jnp.asarray(low, q.dtype) - q, 0.0)
         return (below + jnp.maximum(q - jnp.asarray(high, q.dtype), 0.0)).sum()
 

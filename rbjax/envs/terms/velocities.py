@@ -1,4 +1,4 @@
-"""Terms of the velocity of a frame: tracking of commands, and motion that nobody asked for.
+"""Terms of the velocity of a frame: tracking of commands, and undesired velocities.
 
 v and w are the velocities of the origin and of rotation. The command is (c_x, c_y, c_w), a
 horizontal velocity in m/s and a yaw rate in rad/s, in the axes of the frame.
