@@ -243,12 +243,13 @@ def test_sac_trains():
 
 @pytest.mark.filterwarnings("ignore:optax.global_norm:DeprecationWarning")
 def test_apg_learns_to_balance():
-    """By gradients through the steps, which the kernel gives."""
+    """By gradients through the steps, which the kernel gives. At this rate each of four seeds
+    balances to the end; at 1e-2 three of six trainings did."""
     from brax.training.agents.apg import train as apg
 
     with jax.enable_x64(False):
         lengths = curve(
-            apg.train, adapters.to_brax(environment()), policy_updates=60, num_envs=16,
-            horizon_length=16, learning_rate=1e-2,
+            apg.train, adapters.to_brax(environment()), policy_updates=120, num_envs=16,
+            horizon_length=16, learning_rate=3e-3,
         )  # fmt: skip
     assert lengths[-1] > 1.5 * lengths[0]
