@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.plotting import animate_policy, animation, record_policy
+from rbjax.plotting.policies import _random_actions
 from rbjax.viewer import subject_of_policy
 
 BALL = """<mujoco><option timestep="0.002"/><worldbody>
@@ -47,6 +50,16 @@ def test_a_recording_is_the_motion_of_the_environment(env) -> None:
 def test_random_actions_differ_between_samples(env) -> None:
     q = record_policy(env, samples=3, seconds=0.2).trajectory.q
     assert len(np.unique(np.asarray(q[:, -1]), axis=0)) == 3
+
+
+def test_random_actions_are_in_the_range_of_an_action() -> None:
+    """With one limit or none they are in -1..1, as the actions of a policy are."""
+    limits = np.array([2.0, 0.0, -np.inf]), np.array([3.0, np.inf, np.inf])
+    env: Any = SimpleNamespace(action_range=limits, action_size=3, dtype=jnp.zeros(()).dtype)
+    keys = jax.random.split(jax.random.key(0), 200)
+    found = np.asarray(jax.vmap(_random_actions(env), (None, 0))(None, keys))
+    np.testing.assert_allclose(found.min(0), [2, -1, -1], atol=0.05)
+    np.testing.assert_allclose(found.max(0), [3, 1, 1], atol=0.05)
 
 
 def test_a_page_in_one_call(env, tmp_path: Path) -> None:
