@@ -190,7 +190,7 @@ def _kept(state: EnvState) -> tuple:
 
 
 def _random_actions(env: Environment) -> Policy:
-    _, center, scale = action_center_and_scale(*env.action_range)
+    _, center, scale = action_center_and_scale(*map(jnp.asarray, env.action_range))
     low, high = center - scale, center + scale
 
     def act(obs: Any, key: jax.Array) -> jax.Array:
