@@ -98,7 +98,7 @@ class TaskSystem(System):
         due = self.example(None).now
         changes = {
             name: jax.tree.map(lambda y, x: jnp.asarray(x, y.dtype), getattr(due, name), given)
-            for name in ("state", "rate", "step", "action", "ctrl", "variables", "total")
+            for name in ("state", "acceleration", "step", "action", "ctrl", "variables", "total")
             for given in [getattr(state, name)]
         }
         return dataclasses.replace(due, **changes)
@@ -212,7 +212,7 @@ def _part(path: tuple) -> Part | None:
     which, field, *rest = (str(getattr(k, "name", getattr(k, "key", ""))) for k in path)
     if field == "state":
         return (which, "state", "") if rest[0] in ("q", "v", "x") else None
-    if field in ("rate", "action", "ctrl"):
+    if field in ("acceleration", "action", "ctrl"):
         return which, field, ""
     return (which, field, rest[0]) if field == "variables" else None
 

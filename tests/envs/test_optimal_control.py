@@ -110,7 +110,7 @@ def test_coordinates_are_those_that_rewards_read():
         ("last", "action", ""), ("last", "ctrl", ""), ("last", "state", ""),
         ("last", "variables", "goal"), ("last", "variables", "mean"),
         ("last", "variables", "phase"), ("now", "action", ""), ("now", "ctrl", ""),
-        ("now", "rate", ""), ("now", "variables", "goal"), ("now", "variables", "mean"),
+        ("now", "acceleration", ""), ("now", "variables", "goal"), ("now", "variables", "mean"),
         ("now", "variables", "phase"),
     }  # fmt: skip
     plain = rb.envs.make("cart_pole_balance").problem(3).system
