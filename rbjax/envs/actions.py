@@ -34,6 +34,7 @@ def action_center_and_scale(low: Any, high: Any) -> tuple[jax.Array, jax.Array, 
         >>> float(center[0]), float(scale[0])
         (4.0, 2.0)
     """
+    low, high = jnp.asarray(low), jnp.asarray(high)
     limited = jnp.isfinite(high - low)
     center = jnp.where(limited, 0.5 * (low + high), 0.0)
     return limited, center, jnp.where(limited, 0.5 * (high - low), 1.0)
