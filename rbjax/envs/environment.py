@@ -226,8 +226,8 @@ class Environment:
         (`rb.control.mpc`) with the rewards of the task. Controls of the problem are actions, its
         states are pairs (now, last) of states of an episode: start it with the state of `reset`.
 
-        The problem is deterministic. Left out are events, noise, delays and randomisation. Variables
-        whose `update` draws random numbers keep their values. The motion goes on after a
+        The problem is deterministic. Left out are events, noise, delays and randomisation.
+        Variables whose `update` draws random numbers keep their values. The motion goes on after a
         termination, whose reward is paid in each step in which it is true. A state that is not
         finite costs infinity.
 
