@@ -149,7 +149,7 @@ def spaces_of(environment: Environment) -> tuple[Any, Any]:
     """Return the spaces of observations and actions."""
     from gymnasium import spaces
 
-    dtype = np.dtype(environment.default_params.noise.dtype)
+    dtype: Any = environment.default_params.noise.dtype.type
     sizes = environment.observation_size
 
     def box(n: int) -> Any:
