@@ -53,14 +53,15 @@ def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
     weight = rng.normal(size=door[0].shape)
     mapped, rates, gradients = jax.jit(everything)(tangents, weight, *xs)
     rate, gradient = rates[0], [g[0] for g in gradients]
-    assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
+    error = relative_error(mapped, np.stack(door), batch_dims=1)
+    assert error.max(initial=0.0) <= F64_TRANSFORM, "vmap, jit"
     ends = [
         np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))
         for side in (-1, 1)
     ]
     assert relative_error(rate, (ends[1] - ends[0]) / (2 * STEP), floor=1.0) <= GRADIENT, "jvp"
     by_reverse = sum((g * t).sum() for g, t in zip(gradient, tangents, strict=True))
-    scale = max(1.0, np.abs(weight * rate).max())
+    scale = np.abs(weight * rate).max(initial=1.0)
     assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
 
 
