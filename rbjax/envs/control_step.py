@@ -31,6 +31,7 @@ from rbjax.envs.task import Observation, Task
 from rbjax.envs.transition import Transition
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
+from rbjax.lanes.arrays import select
 from rbjax.model import Model, State, with_constants
 from rbjax.motion.field import Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.integrators import advance_state, integrator_of
@@ -106,6 +107,33 @@ class ControlStep:
             variables=variables, drawn=drawn, delays=delays, buffers=buffers,
             total=jnp.zeros((), dtype),
         )  # fmt: skip
+
+    def before_physics(self, own: tuple, params: Params) -> tuple[EnvState, jax.Array, jax.Array]:
+        """Return the state after the events, the controls, and the integers of the key that is
+        left.
+
+        own: integers of a key, state, action.
+        """
+        data, state, action = own
+        event, rest = jax.random.split(key_of(data))
+        return *self.prepare(event, state, action, params), jax.random.key_data(rest)
+
+    def after_physics(self, own: tuple, params: Params, *, resets: bool) -> tuple:
+        """Return observation, state, reward, done and info of a control step.
+
+        own: the integers of the key and the state of `before_physics`, action, controls, and the
+            result of `physics`.
+        resets: whether the next episode begins if this one ended.
+        """
+        data, last, action, ctrl, moved = own
+        finish, begin, noise = jax.random.split(key_of(data), 3)
+        state, reward, done, info = self.finish(finish, last, action, ctrl, moved, params)
+        if resets:
+            new = self.begin(begin, params)
+            new = new.replace(buffers={**state.buffers, **new.buffers})
+            state = select(done, new, state)
+        obs, state = self.observe(noise, last, state, params, done if resets else False)
+        return obs, state, reward, done, info
 
     def prepare(
         self, key: jax.Array, state: EnvState, action: jax.Array, params: Params
@@ -225,7 +253,7 @@ class ControlStep:
         params = self.with_drawn(params, state.drawn)
         if isinstance(is_reset, jax.Array):
             before, now = ((x.state, x.action, x.ctrl) for x in (last, state))
-            before = jax.tree.map(lambda a, b: jnp.where(is_reset, a, b), now, before)
+            before = select(is_reset, now, before)
             last = last.replace(state=before[0], action=before[1], ctrl=before[2])
         to = self.transition(last, state, params)
         buffers, values = dict(state.buffers), {}
@@ -261,6 +289,11 @@ class ControlStep:
         for r in self.task.randomise:
             model = r.apply(model, drawn[r.name])
         return with_model(params, with_constants(model, self.dtype))
+
+
+def key_of(data: jax.Array) -> jax.Array:
+    """Return the key of two integers, with the same random numbers whatever JAX's default is."""
+    return jax.random.wrap_key_data(data, impl="threefry2x32")
 
 
 def with_model(params: Params, model: Model) -> Params:

@@ -24,7 +24,7 @@ from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.one_sample import run_sample
 from rbjax.envs.checks import check_params, check_shape, check_task, number_of
-from rbjax.envs.control_step import ControlStep, with_model
+from rbjax.envs.control_step import ControlStep, key_of, with_model
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.optimal_control import deterministic_step, parts_read, task_problem
 from rbjax.envs.task import Task
@@ -50,6 +50,7 @@ class Environment:
         observation_size: number of entries of an observation; with several groups a dict.
         dt: control step in s.
         episode: control steps in an episode.
+        control_step: the functions of one control step of one sample.
         default_params: the `Params` of the task.
         options: the options of a named task, as given to `rb.envs.make`; None for a task of one's
             own.
@@ -73,11 +74,11 @@ class Environment:
         check_task(task)
         self.task = task
         self.kernel = kernel is None or flag("Environment", "kernel", kernel)
-        self._sample = ControlStep(task)
-        self.dtype = self._sample.dtype
-        self.dt = self._sample.step * task.decimation
+        self.control_step = ControlStep(task)
+        self.dtype = self.control_step.dtype
+        self.dt = self.control_step.step * task.decimation
         self.episode = task.episode
-        self.action_size: int = self._sample.action_size
+        self.action_size: int = self.control_step.action_size
         self.action_range = task.action.range(task.model)
         #: options of the named task, set by `rb.envs.make`; None for a task of one's own
         self.options: dict[str, Any] | None = None
@@ -192,7 +193,7 @@ class Environment:
 
             def one(carry: tuple, i: jax.Array) -> tuple:
                 obs, state = carry
-                act, step = jax.random.split(jax.random.fold_in(_key(data), i))
+                act, step = jax.random.split(jax.random.fold_in(key_of(data), i))
                 action = check_shape(
                     "unroll", "the action of the policy", policy(obs, act), (self.action_size,),
                     self.dtype,
@@ -316,9 +317,9 @@ class Environment:
         return part(self._first, own, params)
 
     def _first(self, own: tuple, params: Params) -> tuple[Any, EnvState]:
-        begin, noise = jax.random.split(_key(own[0]))
-        state = self._sample.begin(begin, params)
-        return self._sample.observe(noise, state, state, params, None)
+        begin, noise = jax.random.split(key_of(own[0]))
+        state = self.control_step.begin(begin, params)
+        return self.control_step.observe(noise, state, state, params, None)
 
     def _step(self, own: tuple, params: Params, part: Callable) -> tuple:
         return part(self._next, self._advance(own, params, part), params)
@@ -327,38 +328,21 @@ class Environment:
         return part(self._last, self._advance(own, params, part), params)
 
     def _advance(self, own: tuple, params: Params, part: Callable) -> tuple:
-        """Integrate a control step. Return the arguments of `ControlStep.finish`."""
-        sample = self._sample
-
-        def prepare(own: tuple, params: Params) -> tuple:
-            data, state, action = own
-            event, rest = jax.random.split(_key(data))
-            return *sample.prepare(event, state, action, params), jax.random.key_data(rest)
+        """Integrate a control step. Return the arguments of `ControlStep.after_physics`."""
 
         def physics(own: tuple, params: Params) -> tuple:
             state, step, drawn, ctrl = own
-            return sample.physics(state, step, drawn, ctrl, params)
+            return self.control_step.physics(state, step, drawn, ctrl, params)
 
-        state, ctrl, rest = part(prepare, own, params)
+        state, ctrl, rest = part(self.control_step.before_physics, own, params)
         moved = part(physics, (state.state, state.step, state.drawn, ctrl), params)
         return rest, state, own[2], ctrl, moved
 
     def _next(self, own: tuple, params: Params) -> tuple:
-        data, last, action, ctrl, moved = own
-        finish, begin, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.finish(finish, last, action, ctrl, moved, params)
-        new = self._sample.begin(begin, params)
-        new = new.replace(buffers={**state.buffers, **new.buffers})
-        state = jax.tree.map(lambda a, b: jnp.where(done, a, b), new, state)
-        obs, state = self._sample.observe(noise, last, state, params, done)
-        return obs, state, reward, done, info
+        return self.control_step.after_physics(own, params, resets=True)
 
     def _last(self, own: tuple, params: Params) -> tuple:
-        data, last, action, ctrl, moved = own
-        finish, _, noise = jax.random.split(_key(data), 3)
-        state, reward, done, info = self._sample.finish(finish, last, action, ctrl, moved, params)
-        obs, state = self._sample.observe(noise, last, state, params, False)
-        return obs, state, reward, done, info
+        return self.control_step.after_physics(own, params, resets=False)
 
     def _check_terms(self) -> None:
         """Trace a reset and a step, so that wrong terms raise an error, and count observations."""
@@ -368,7 +352,7 @@ class Environment:
         action = jax.ShapeDtypeStruct((self.action_size,), self.dtype)
 
         def step(data: jax.Array, state: EnvState, action: jax.Array) -> tuple:
-            last, ctrl = self._sample.prepare(_key(data), state, action, params)
+            last, ctrl = self.control_step.prepare(key_of(data), state, action, params)
             motion = last.state, last.acceleration  # without the physics, whose trace takes longer
             return self._next((data, last, action, ctrl, motion), params)
 
@@ -394,7 +378,3 @@ def _data(where: str, key: Any) -> jax.Array:
             "over a batch by jax.vmap"
         )
     return data if data.shape == (2,) else jax.random.bits(key, (2,), jnp.uint32)
-
-
-def _key(data: jax.Array) -> jax.Array:
-    return jax.random.wrap_key_data(data, impl="threefry2x32")

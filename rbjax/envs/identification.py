@@ -19,7 +19,7 @@ from rbjax.arguments import choice, instance
 from rbjax.control.optimal.shooting.expansion import arguments_read
 from rbjax.dynamics.arguments import check_array
 from rbjax.envs.checks import check_vector, term_of
-from rbjax.envs.control_step import ControlStep
+from rbjax.envs.control_step import ControlStep, key_of
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.task import Observation
@@ -178,7 +178,7 @@ def _size(env: Environment, term: Observation) -> int:
 
     def value(data: jax.Array) -> jax.Array:
         sample = ControlStep(env.task)
-        state = sample.begin(_key(data), env.default_params)
+        state = sample.begin(key_of(data), env.default_params)
         to = sample.transition(state, state, sample.with_drawn(env.default_params, state.drawn))
         return check_vector("", env.task, term_of(env.task, term)(to), env.dtype)
 
@@ -201,7 +201,7 @@ def _sensor(
         return check_vector(f"observation {term.name!r}", task, read(to), dtype)
 
     def begin(data: jax.Array) -> dict[str, Any]:
-        return ControlStep(task).begin(_key(data), env.default_params).variables
+        return ControlStep(task).begin(key_of(data), env.default_params).variables
 
     shapes = jax.eval_shape(begin, jax.ShapeDtypeStruct((2,), jnp.uint32))
     names = [name for name in shapes if name not in variables]
@@ -265,7 +265,3 @@ def _controls(where: str, env: Environment, actions: jax.Array, start: Any) -> j
 
     first = state.ctrl, jnp.asarray(state.action, env.dtype)
     return jax.lax.scan(one, first, jnp.asarray(actions, env.dtype))[1]
-
-
-def _key(data: jax.Array) -> jax.Array:
-    return jax.random.wrap_key_data(data, impl="threefry2x32")

@@ -30,7 +30,7 @@ from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.shooting.expansion import arguments_read
 from rbjax.control.optimal.system import System
 from rbjax.control.optimal.terms import Constraint, Cost, Term
-from rbjax.envs.control_step import ControlStep, with_model
+from rbjax.envs.control_step import ControlStep, key_of, with_model
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.task import Observation, Task, Variable
 from rbjax.errors import InputError
@@ -156,7 +156,7 @@ class MinusReward(Term):
 def example_pair(sample: ControlStep, params: Params) -> Pair:
     """Return a pair of states with the right shapes and zeros."""
     key = jax.ShapeDtypeStruct((2,), jnp.uint32)
-    shapes = jax.eval_shape(lambda data: sample.begin(_key(data), params), key)
+    shapes = jax.eval_shape(lambda data: sample.begin(key_of(data), params), key)
     state = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     # a count that is an integer has no derivative
     state = dataclasses.replace(state, step=jnp.zeros((), sample.dtype))
@@ -278,8 +278,8 @@ def _without_drawing(sample: ControlStep, variable: Variable, params: Params) ->
         return variable
 
     def updated(data: jax.Array, begin: jax.Array) -> Any:
-        state = sample.begin(_key(begin), params)
-        return update(_key(data), sample.transition(state, state, params))
+        state = sample.begin(key_of(begin), params)
+        return update(key_of(data), sample.transition(state, state, params))
 
     draws, _ = arguments_read(updated, [jnp.zeros(2, jnp.uint32)] * 2)
     return dataclasses.replace(variable, update=None) if draws else variable
@@ -298,7 +298,3 @@ def task_problem(
         system, horizon, dt, running=(*own, *running), terminal=(Cost(reward), *terminal),
         constraints=constraints, bounds=limits, integral=False, design=design,
     )  # fmt: skip
-
-
-def _key(data: jax.Array) -> jax.Array:
-    return jax.random.wrap_key_data(data, impl="threefry2x32")

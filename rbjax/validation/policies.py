@@ -76,30 +76,22 @@ def evaluate_in_mujoco(
     total = env.episode if steps is None else steps
     integer("evaluate_in_mujoco", "steps", total, least=1, most=env.episode)
     _check_same(env, mj_model)
-    sample, params, count = env._sample, env.default_params, env.task.decimation
+    step, params, count = env.control_step, env.default_params, env.task.decimation
     one, two = jax.random.split(key)
     obs, state = jax.vmap(env.reset)(jax.random.split(one, episodes))
 
     @jax.jit
     def prepare(state: Any, obs: Any, key: jax.Array) -> tuple:
         action = jax.vmap(lambda o: policy(o, None))(obs)
-
-        def each(key: jax.Array, state: Any, action: Any) -> tuple:
-            event, rest = jax.random.split(key)
-            return *sample.prepare(event, state, action, params), rest
-
         keys = jax.random.split(key, (2, episodes))[1]  # as in `evaluate`
-        return action, *jax.vmap(each)(keys, state, action)
+        own = jax.random.key_data(keys), state, action
+        return action, *jax.vmap(lambda *own: step.before_physics(own, params))(*own)
 
     @jax.jit
-    def finish(keys: Any, last: Any, action: Any, ctrl: Any, moved: Any) -> tuple:
-        def each(key: jax.Array, last: Any, action: Any, ctrl: Any, moved: Any) -> tuple:
-            ends, _, noise = jax.random.split(key, 3)
-            state, reward, done, info = sample.finish(ends, last, action, ctrl, moved, params)
-            obs, state = sample.observe(noise, last, state, params, False)
-            return obs, state, reward, done, info["terminated"]
-
-        return jax.vmap(each)(keys, last, action, ctrl, moved)
+    def finish(*own: Any) -> tuple:
+        after = jax.vmap(lambda *own: step.after_physics(own, params, resets=False))
+        obs, state, reward, done, info = after(*own)
+        return obs, state, reward, done, info["terminated"]
 
     zero = np.zeros(episodes)
     running, returns, lengths = np.ones(episodes, bool), zero.copy(), zero.astype(int)

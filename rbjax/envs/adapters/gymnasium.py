@@ -19,6 +19,7 @@ from rbjax.envs.adapters.packages import check_environment, require
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
 from rbjax.errors import InputError
+from rbjax.lanes.arrays import select
 
 AUTORESET = ("next_step", "same_step", "disabled")
 
@@ -239,9 +240,9 @@ def _classes() -> tuple[type, type, type]:
             pick = done if self._autoreset == "next_step" else result[1] | result[2]
             obs = last
             if self._autoreset != "disabled":
-                obs, now = _select(pick, self._begin(begin, params), (last, now))
+                obs, now = jax.vmap(select)(pick, self._begin(begin, params), (last, now))
             if self._autoreset == "next_step":  # a call that resets has no result
-                result = _select(pick, jax.tree.map(jnp.zeros_like, result), result)
+                result = jax.vmap(select)(pick, jax.tree.map(jnp.zeros_like, result), result)
             return key, now, result[1] | result[2], last, (obs, *result)
 
         def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
@@ -251,7 +252,9 @@ def _classes() -> tuple[type, type, type]:
             mask = (options or {}).get("reset_mask")
             if mask is not None:
                 mask = self._checked(mask)
-                obs, state = _select(jnp.asarray(mask), (obs, state), (self._obs, self.state))
+                obs, state = jax.vmap(select)(
+                    jnp.asarray(mask), (obs, state), (self._obs, self.state)
+                )
             self._obs, self.state = obs, state
             self._done = jnp.zeros(self.num_envs, bool) if mask is None else self._done & ~mask
             return _numpy(obs), {}
@@ -341,13 +344,6 @@ def _key_of(generator: np.random.Generator) -> jax.Array:
 def _numpy(tree: Any) -> Any:
     """Return a copy as numpy arrays, which the caller may change."""
     return jax.tree.map(np.array, jax.device_get(tree))
-
-
-def _select(pick: jax.Array, new: Any, old: Any) -> Any:
-    def leaf(a: jax.Array, b: jax.Array) -> jax.Array:
-        return jnp.where(pick.reshape(pick.shape + (1,) * (a.ndim - 1)), a, b)
-
-    return jax.tree.map(leaf, new, old)
 
 
 def _with_masks(info: dict[str, Any], count: int) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes.arrays import select
+
 
 class Samples(NamedTuple):
     """The batch between two iterations: observations, `EnvState`, and whether the present episode
@@ -73,8 +75,8 @@ def move_samples(
         seen, state, reward, done, info = once(jax.random.split(two, batch), state, action, params)
         failed = info["failed"]
         finished = done & now.whole & ~failed
-        seen = _pick(failed, jax.lax.stop_gradient(now.obs), seen)
-        obs, state = _pick(done, fresh, (seen, state))
+        seen = jax.vmap(select)(failed, jax.lax.stop_gradient(now.obs), seen)
+        obs, state = jax.vmap(select)(done, fresh, (seen, state))
         path = Path(
             now.obs, seen, reward, done, info["terminated"] | failed, failed, finished,
             jnp.where(finished, info["return"], 0.0), jnp.where(finished, info["length"], 0),
@@ -122,16 +124,9 @@ def _backward(limit: float | None, _: None, slope: Any) -> tuple[Any]:
         if not jnp.issubdtype(s.dtype, jnp.inexact):
             return s
         scaled = s * factor.reshape(-1, *[1] * (s.ndim - 1))
-        return _pick(good, scaled, jnp.zeros_like(s))
+        return jax.vmap(select)(good, scaled, jnp.zeros_like(s))
 
     return (jax.tree.map(limited, slope),)
 
 
 limit_slope.defvjp(lambda x, limit: (x, None), _backward)
-
-
-def _pick(condition: jax.Array, a: Any, b: Any) -> Any:
-    """Return a for the samples (B,) whose condition is true, else b."""
-    return jax.tree.map(
-        lambda x, y: jnp.where(condition.reshape(-1, *[1] * (x.ndim - 1)), x, y), a, b
-    )

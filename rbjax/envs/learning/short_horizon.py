@@ -207,13 +207,13 @@ def shac(
         critic_memory = fitter.init(weights_of(critic))
         return Training._make((*arrays, memory, critic_memory, two, skipped, samples))
 
-    def told(done: int, now: Training, figures: dict) -> None:
+    def report_chunk(done: int, now: Training, figures: dict) -> None:
         policy = eqx.combine(now.policy, static[0])
         report(done * batch * horizon, summary_of(figures), policy)
 
     last, figures = run_iterations(
         turn, begin, (*given, key), iterations, layout=LAYOUT, devices=where_to_run,
-        chunks=reports, report=told, seconds=seconds,
+        chunks=reports, report=report_chunk, seconds=seconds,
     )  # fmt: skip
     policy, critic = eqx.combine((last.policy, last.critic), static)
     return Trained(policy, critic, figures["reward"], last.skipped)

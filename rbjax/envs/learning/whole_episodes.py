@@ -113,12 +113,12 @@ def through_time(
         numbers, _ = split_policy(eqx.combine(arrays, static))
         return arrays, optimiser.init(numbers), key, jnp.zeros((), int)
 
-    def told(done: int, now: tuple, figures: dict) -> None:
+    def report_chunk(done: int, now: tuple, figures: dict) -> None:
         policy = eqx.combine(now[0], static)
         report(done * batch * env.episode, summary_of(figures), policy)
 
     last, figures = run_iterations(
         turn, begin, (arrays, key), iterations, layout=SAME, devices=where_to_run, chunks=reports,
-        report=told,
+        report=report_chunk,
     )  # fmt: skip
     return Trained(eqx.combine(last[0], static), None, figures["reward"], last[3])
