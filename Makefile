@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test quick test-gpu test-all test-oldest test-envs lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
+.PHONY: help setup test quick test-gpu test-all test-oldest test-envs lint types demo bench failure-map wheel-contact bench-work-precision notebooks docs clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -81,10 +81,10 @@ bench: $(STAMP) ## every benchmark, an hour; results by device in benchmarks/res
 	done; \
 	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
 
-failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
+failure-map: $(STAMP) ## every solver on scenes built to break it; docs/benchmarks/figures/failure_map.png
 	$(BIN)/python -m benchmarks.maps.failure_map
 
-wheel-contact: $(STAMP) ## wheels that roll beside MuJoCo's and slipping ones, 15 minutes; docs/wheel_contact.png
+wheel-contact: $(STAMP) ## wheels that roll beside MuJoCo's and slipping ones, 15 minutes; docs/guides/figures/wheel_contact.png
 	$(BIN)/python -m benchmarks.accuracy.wheel_contact
 
 bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and pictures in docs/
@@ -105,6 +105,15 @@ notebooks/%.ipynb: notebooks/%.py $(STAMP) FORCE
 
 FORCE:
 
+docs: $(VENV)/.docs ## the documentation, into site/; fails on a dead link
+	$(BIN)/python -m docs.generate
+	$(BIN)/zensical build --strict --config-file .cache/mkdocs.yml
+	@rm -rf site && cp -r .cache/site site
+
+$(VENV)/.docs: $(STAMP)
+	@$(BIN)/pip install -qq --no-compile --editable '.[docs]'
+	@touch $@
+
 clean: ## remove all that make has made, .venv included
-	rm -rf $(VENV) .venv-oldest .venv-envs .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
+	rm -rf $(VENV) .venv-oldest .venv-envs .cache .mypy_cache .pytest_cache .ruff_cache build dist site *.egg-info rbjax-demo
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -115,7 +115,7 @@ print(f"Lyapunov exponent {exponent.value:.2f} +- {exponent.error:.2f} 1/s; grad
 # ## How solvers fail
 # Fifteen scenes are built to break solvers. `attempt` runs one and returns the outcome with a
 # number: an error, the time of a blow-up, the distance from the manifold, a drift. `make
-# failure-map` does this for every solver (`docs/failure_map.png`).
+# failure-map` does this for every solver (`docs/benchmarks/figures/failure_map.png`).
 
 # %%
 scenes = lab.scenes()

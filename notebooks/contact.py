@@ -16,8 +16,8 @@
 # `rb.load` reads the contacts, limits and friction loss of a file. `rb.step`, `rb.rollout` and
 # `rb.simulate` then move the robot on the ground. A box falls, slides and stands on a ramp under
 # two contact laws. A quadruped walks, a gripper lifts a cube, and a ball bounces, with the
-# derivative of the bounce by the height of its fall. `docs/contacts.md` lists the laws with their
-# limits.
+# derivative of the bounce by the height of its fall. `docs/guides/contacts.md` lists the laws with
+# their limits.
 
 # %%
 import jax

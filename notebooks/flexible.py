@@ -17,7 +17,7 @@
 # strains, and its tip carries other bodies, sites and forces. A cantilever is compared with
 # elliptic integrals. A cable swings. A beam spins up, in strain coordinates and as a modal body.
 # Fingers close by tendons. Bending stiffness and damping are identified from a swing.
-# `docs/flexible.md` has the theory.
+# `docs/guides/flexible.md` has the theory.
 
 # %%
 import jax

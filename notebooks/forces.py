@@ -14,7 +14,7 @@
 # # Your own forces
 #
 # A model has a tuple of force elements. `rollout`, `simulate`, `linearise` and their derivatives
-# sum over them, for one robot or a batch. The guide is `docs/extending.md`.
+# sum over them, for one robot or a batch. The guide is `docs/develop/extending.md`.
 
 # %%
 import jax

@@ -14,7 +14,7 @@
 # # A function of one robot as one GPU thread
 #
 # `rb.threads(f)` runs a batch of f as one kernel on a GPU. On other machines it is f itself, so
-# this notebook runs anywhere. `docs/threads.md` has measurements.
+# this notebook runs anywhere. `docs/develop/threads.md` has measurements.
 
 # %%
 import jax

@@ -8,8 +8,8 @@ solref), impratio and timestep; at some points in MJX; under rbjax's contact law
 of wheels (the differential drive); and at our fidelity "slipping", with other
 friction and stiffness of tyres. A distance is the largest of the chassis' origin on the way. All in
 f64; times are of one core, and rough where others use the machine. Results go to
-results/wheel-contact-<device>.json and docs/wheel_contact.png; a run of some robots or parts keeps
-the others.
+results/wheel-contact-<device>.json and docs/guides/figures/wheel_contact.png; a run of some robots
+or parts keeps the others.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import numpy as np
 
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
-PICTURE = Path(__file__).parents[2] / "docs" / "wheel_contact.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "guides" / "figures" / "wheel_contact.png"
 CONTACTS = {0.01: (TEAL, "v"), 1.0: (BLUE, "s"), 100.0: (PURPLE, "^")}  # impratio -> looks
 STEPS = {  # sweep, integrator -> label, looks
     ("dt, T = 20 ms", "implicitfast"): ("MuJoCo implicitfast, T = 20 ms", TEAL, "v", "--"),

@@ -1,10 +1,10 @@
 """Wrong data of a quadruped in the air: what is found and named, what the fit survives.
 
 `python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER] [--cases ...]` prints the
-tables of docs/wrong_data.md, by default that of the leg. The error is the largest of all numbers
-against the truth (of the leg armature, viscous friction and bias of three joints; of the quadruped
-those and Coulomb friction of twelve joints, and the delay): of the fit to the wrong data, and of
-one to what `diagnose` mended. The quadruped's files lie beside the repository, or in FOLDER.
+tables of docs/guides/wrong_data.md, by default that of the leg. The error is the largest of all
+numbers against the truth (of the leg armature, viscous friction and bias of three joints; of the
+quadruped those and Coulomb friction of twelve joints, and the delay): of the fit to the wrong data,
+and of one to what `diagnose` mended. The quadruped's files lie beside the repository, or in FOLDER.
 """
 
 import argparse

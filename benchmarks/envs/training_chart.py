@@ -2,7 +2,7 @@
 
     python -m benchmarks.envs.training_chart
 
-reads results/training-*.json of one device and writes docs/training.png.
+reads results/training-*.json of one device and writes docs/guides/figures/training.png.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.shared.timing import RESULTS
 from rbjax.style import STYLE
 
-DOCS = Path(__file__).parents[2] / "docs"
+FIGURES = Path(__file__).parents[2] / "docs" / "guides" / "figures"
 TITLES = {
     "go1_joystick_flat": "Go1 follows velocity commands",
     "g1_joystick": "G1 follows velocity commands",
@@ -49,7 +49,7 @@ def main() -> None:
             ax.set(title=title, xlabel="s, with compiling", ylabel="reward of an episode")
             ax.set_xlim(left=0)
             ax.legend(loc="lower right")
-        figure.savefig(DOCS / "training.png")
+        figure.savefig(FIGURES / "training.png")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Chart of the error of beams against coordinates, for the elastica with P L^2 / EI = 10.
 
-`python -m benchmarks.flexible.accuracy_chart` writes docs/flexible.png and prints the rows. Most of
-its two minutes is compilation.
+`python -m benchmarks.flexible.accuracy_chart` writes docs/guides/figures/flexible.png and prints
+the rows. Most of its two minutes is compilation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from benchmarks.flexible.beam_scenes import Entry, measure, references
 from benchmarks.flexible.own_beams import own_beams
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
-FILE = Path(__file__).parents[2] / "docs" / "flexible.png"
+FILE = Path(__file__).parents[2] / "docs" / "guides" / "figures" / "flexible.png"
 #: numbers of segments, or of coordinates of strain coordinates
 COUNTS = {"strain coordinates": (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)}
 OTHERS = (2, 4, 8, 16, 32)

@@ -3,7 +3,8 @@
 `python -m benchmarks.maps.contact_map [--only stack,spin]`. A cell is the largest deviation from
 the motion of rigid bodies in m. The step is an argument of a program, so each law compiles once for
 a scene. "compliant" is a force element (Hunt-Crossley, pressed in by 0.5 mm at rest) with rk4.
-Results go to results/, docs/contact-map.png and docs/contact-work-precision.png.
+Results go to results/, docs/guides/figures/contact-map.png and
+docs/guides/figures/contact-work-precision.png.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from benchmarks.cases.contact_scenes import SCENES, Scene
 from benchmarks.shared.timing import RESULTS, save
 from rbjax.plotting import INK, STYLE
 
-DOCS = Path(__file__).parents[2] / "docs"
+FIGURES = Path(__file__).parents[2] / "docs" / "guides" / "figures"
 NAME = "contact-map"
 STEPS = (8e-3, 4e-3, 2e-3, 1e-3, 5e-4)
 LAWS = (*rb.contact.laws(), "compliant")
@@ -195,8 +196,8 @@ def main() -> None:
     keys = [(name, law, dt) for name in SCENES for law in LAWS for dt in STEPS]
     save(NAME, [found[key] for key in keys if key in found])
     if all(key in found for key in keys):
-        draw_map(found, DOCS / "contact-map.png")
-        draw_work(found, DOCS / "contact-work-precision.png")
+        draw_map(found, FIGURES / "contact-map.png")
+        draw_work(found, FIGURES / "contact-work-precision.png")
 
 
 if __name__ == "__main__":

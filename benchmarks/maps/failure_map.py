@@ -4,8 +4,8 @@
 cell is the verdict of `rb.stability.attempt`: the largest error or the kind of failure. A solver's
 scenes share its compiled programs, which take nearly all of the time. With several jobs each
 process takes one solver at a time. With `--only` the rest of the map is that of the last run.
-Results go to results/ and docs/failure_map.png. Nothing is timed here; the whole map took 20
-minutes on a shared core.
+Results go to results/ and docs/benchmarks/figures/failure_map.png. Nothing is timed here; the whole
+map took 20 minutes on a shared core.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rbjax import solvers
 from rbjax.plotting import INK, STYLE
 from rbjax.stability import Outcome, Truth, Verdict, attempt, scenes, truth
 
-PICTURE = Path(__file__).parents[2] / "docs" / "failure_map.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "benchmarks" / "figures" / "failure_map.png"
 NAME = "failure-map"
 MARGIN = 100  # an error below this many errors of the truth is shown as that
 #: outcome -> letter, colour

@@ -1,7 +1,8 @@
 """Stability of methods: regions over h lambda, and spectral radii over h omega.
 
-`python -m benchmarks.maps.stability_regions` draws docs/stability_regions.png. Regions are of exact
-polynomials; the spectral radii are those of one step of each solver's code on an oscillator.
+`python -m benchmarks.maps.stability_regions` draws docs/benchmarks/figures/stability_regions.png.
+Regions are of exact polynomials; the spectral radii are those of one step of each solver's code on
+an oscillator.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from rbjax import solvers
 from rbjax.plotting import STYLE
 from rbjax.stability import plot_regions, plot_spectral_radius
 
-PICTURE = Path(__file__).parents[2] / "docs" / "stability_regions.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "benchmarks" / "figures" / "stability_regions.png"
 EXPLICIT = {
     "Euler": "euler",
     "Heun": "heun",

@@ -7,7 +7,7 @@ x' = E^-1(x) omega with Euler's equations for omega. Some formulations of the wh
 included. All take the same 100 steps of Dormand-Prince 8. Free motion is the same from every
 attitude, R(t) = R(0) S(t), so one S, by quaternions at a tenth of the step, is the truth for all.
 The results also have the smallest distance to the singularity. They go to results/ and
-docs/tumbling_map.png.
+docs/benchmarks/figures/tumbling_map.png.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 from rbjax.rotations import quaternion, representations, se3
 from rbjax.rotations.representation import Representation
 
-PICTURE = Path(__file__).parents[2] / "docs" / "tumbling_map.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "benchmarks" / "figures" / "tumbling_map.png"
 SECONDS, STEP, ACROSS = 10.0, 0.1, 33
 OFF = 1e-3  # offset of the grid, so that no motion starts at a singularity
 GOOD = 1e-10  # difference between representations that do not fail

@@ -6,8 +6,8 @@ error is the largest deviation of q, or of v against the fastest, at the end, fr
 from DOP853 with "projected" and steps far smaller, whose own error is bounded by a run with half as
 many. Drift is the largest residual of the rows at 10 to 320 times on the way. A step's cost is the
 least of 40 runs of 100 steps, in which all formulations take turns; compile times are apart, in CPU
-seconds. Results go to results/work-formulations-<device>.json and docs/formulations.png; a run of
-some mechanisms keeps the others.
+seconds. Results go to results/work-formulations-<device>.json and
+docs/guides/figures/formulations.png; a run of some mechanisms keeps the others.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter
 
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
-PICTURE = Path(__file__).parents[2] / "docs" / "formulations.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "guides" / "figures" / "formulations.png"
 #: formulation -> colour, marker; the marker is the family's
 LOOKS = {
     "projected": (BLUE, "o"), "multipliers": (ORANGE, "o"), "baumgarte": (RED, "o"),

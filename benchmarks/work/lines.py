@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.shared.timing import RESULTS
 from benchmarks.work.scenes import SCENES
 
-DOCS = RESULTS.parents[1] / "docs"
+DOCS = RESULTS.parents[1] / "docs" / "benchmarks"
+FIGURES = DOCS / "figures"
 WANTED = 1e-6
 FARTHEST = 300  # times the wanted error, up to which a line is extrapolated to it
 CPU, GPU = "CPU, one core", "H200"

@@ -1,7 +1,8 @@
 """Tables and pictures of the speed-accuracy benchmarks.
 
 `python -m benchmarks.work.precision_chart [folders]` reads work-*.json from benchmarks/results (and
-other folders) and writes docs/work-precision.md with docs/work-precision-<what>.png.
+other folders) and writes docs/benchmarks/work-precision.md with
+docs/benchmarks/figures/work-precision-<what>.png.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.shared.timing import RESULTS, markdown_table
-from benchmarks.work.lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, read, visible
+from benchmarks.work.lines import CPU, DOCS, FIGURES, GPU, WANTED, Rows, at, lines, read, visible
 from benchmarks.work.scenes import SCENES
 from benchmarks.work.solvers import MAKERS
 from benchmarks.work.solvers_chart import gaps, solver_pictures, solver_tables
@@ -99,7 +100,7 @@ def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, 
         labels = sorted(shown, key=lambda s: (order.index(s.removesuffix(", f32")), "f32" in s))
         handles = [shown[label] for label in labels]
         figure.legend(handles, labels, loc="outside lower center", ncols=min(5, 2 * columns))
-        figure.savefig(DOCS / f"work-precision-{name}.png")
+        figure.savefig(FIGURES / f"work-precision-{name}.png")
         plt.close(figure)
 
 
@@ -122,7 +123,7 @@ def stiffness(rows: Rows) -> None:
         for ax in (left, right):
             ax.set_xlabel("stiffness of the springs [N m/rad]")
         figure.legend(*left.get_legend_handles_labels(), loc="outside right center")
-        figure.savefig(DOCS / "work-precision-stiffness.png")
+        figure.savefig(FIGURES / "work-precision-stiffness.png")
         plt.close(figure)
 
 
@@ -160,9 +161,9 @@ distance of two states and the references (closed forms or runs whose own error 
 
 {table}
 
-![H200](work-precision-h200.png)
-![CPU](work-precision-cpu.png)
-![Force evaluations](work-precision-evaluations.png)
+![H200](figures/work-precision-h200.png)
+![CPU](figures/work-precision-cpu.png)
+![Force evaluations](figures/work-precision-evaluations.png)
 
 - Every engine runs the same MjModel with only smooth dynamics; contacts, limits, friction are off.
 - MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
@@ -184,11 +185,11 @@ times, and is prolonged (f64).
 
 {solvers}
 
-![One core, f64](work-precision-solvers-cpu-f64.png)
-![One core, f32](work-precision-solvers-cpu-f32.png)
-![H200, f64](work-precision-solvers-h200-f64.png)
-![H200, f32](work-precision-solvers-h200-f32.png)
-![Force evaluations](work-precision-solvers-evaluations.png)
+![One core, f64](figures/work-precision-solvers-cpu-f64.png)
+![One core, f32](figures/work-precision-solvers-cpu-f32.png)
+![H200, f64](figures/work-precision-solvers-h200-f64.png)
+![H200, f32](figures/work-precision-solvers-h200-f32.png)
+![Force evaluations](figures/work-precision-solvers-evaluations.png)
 
 - Thin: every solver; bold and named, the fastest first: the best of its family to {wanted:g} (f32:
   to 1e-4).
@@ -204,7 +205,7 @@ times, and is prolonged (f64).
 A hanging rod of six links, its springs ever stiffer, their dampers with them; error 1e-4 after 1 s.
 {crossover}
 
-![Stiffness](work-precision-stiffness.png)
+![Stiffness](figures/work-precision-stiffness.png)
 """
 
 

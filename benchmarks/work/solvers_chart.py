@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.shared.timing import markdown_table
-from benchmarks.work.lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, visible
+from benchmarks.work.lines import CPU, FIGURES, GPU, WANTED, Rows, at, lines, visible
 from benchmarks.work.scenes import SCENES
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
@@ -98,7 +98,7 @@ def picture(rows: Rows, platform: str, precision: str, column: int, name: str) -
         figure.suptitle(f"Solvers through simulate: error against {against}, {precision}")
         handles = [plt.Line2D([], [], color=color, lw=2) for color, _ in FAMILIES.values()]
         figure.legend(handles, list(FAMILIES), loc="outside lower center", ncols=len(FAMILIES))
-        figure.savefig(DOCS / f"work-precision-solvers-{name}.png")
+        figure.savefig(FIGURES / f"work-precision-solvers-{name}.png")
         plt.close(figure)
 
 

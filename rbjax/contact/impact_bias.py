@@ -49,7 +49,7 @@ def warn_of_impacts(where: str, model: Model, law: Any, *xs: Any, advice: str = 
                 "in full from the first step in touch. If a contact begins within the motion, the "
                 f"derivative is biased at any step size. Take geoms with solimp={RAMP!r}, "
                 'rb.contact.CompliantContact, contact="impulse" or rb.simulate_impacts '
-                f"(docs/contacts.md). If none begins, filter this warning{advice}",
+                f"(docs/guides/contacts.md). If none begins, filter this warning{advice}",
                 stacklevel=2,
             )
         return primals[0], tangents[0]

@@ -169,7 +169,7 @@ def load(
     model = model.with_constraints(*couplings)
     shaken = _unstable(model)
     if shaken:
-        warnings.warn(f"{describe(source)}: {shaken} (docs/contacts.md)", stacklevel=2)
+        warnings.warn(f"{describe(source)}: {shaken} (docs/guides/contacts.md)", stacklevel=2)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(

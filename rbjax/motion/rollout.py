@@ -143,7 +143,7 @@ def rollout(
     Differentiable in state, ctrl, model and the values that a policy closes over, in forward and
     reverse mode. The reverse gradient keeps steps / save_every + save_every states per sample.
 
-    On a GPU (docs/threads.md):
+    On a GPU (docs/develop/threads.md):
 
     - f32 and f64, forward mode, reverse mode and their derivatives work as on a CPU;
     - a derivative keeps every k-th state, in forward mode too: k = 1 if that fits into `memory`,

@@ -74,7 +74,7 @@ def simulate(
 
     Inside `jit` a sample is a GPU thread or a lane of machine code on a CPU. Its reverse gradient
     is one too if `max_steps` or the checkpoints of the adjoint are few; otherwise it runs under XLA
-    (docs/threads.md).
+    (docs/develop/threads.md).
 
     A new function (ctrl, tau, wrenches, dynamics) is not compiled again if it differs from an
     earlier one only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit

@@ -16,7 +16,7 @@ from rbjax.sysid.jobs.example import CONFIGURATION, write_example
 from rbjax.sysid.jobs.job import Job
 from rbjax.sysid.jobs.keys import KEYS, KINDS, index_of
 
-PAGE = Path(__file__).parents[2] / "docs" / "job_files.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "job_files.md"
 ANGLE = '"shoulder angle" = { sensor = "q", joint = "shoulder", unit = "deg" }'
 ELBOW = '"elbow angle" = { sensor = "q", joint = "elbow", unit = "deg", sign = -1 }'
 

@@ -1,7 +1,7 @@
 """Identification jobs that are defined by a TOML file.
 
-`docs/job_files.md` lists the tables and keys. Paths are relative to the file. Results are written
-into a folder within the file's folder, unless the caller gives another folder.
+`docs/guides/job_files.md` lists the tables and keys. Paths are relative to the file. Results are
+written into a folder within the file's folder, unless the caller gives another folder.
 """
 
 from __future__ import annotations

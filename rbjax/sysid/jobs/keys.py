@@ -82,7 +82,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 #: table -> key -> kind of the value. "" is the head of the file. The keys of "columns" and
-#: "unknowns" are those of each line. `docs/job_files.md` has units, defaults and meanings.
+#: "unknowns" are those of each line. `docs/guides/job_files.md` has units, defaults and meanings.
 KEYS: dict[str, dict[str, str]] = {
     "": {
         "model": "text", "floating_base": "yes", "friction": "yes", "limits": "yes",

@@ -1,4 +1,4 @@
-"""The programs of docs/adapters.md run, with smaller numbers."""
+"""The programs of docs/guides/adapters.md run, with smaller numbers."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import pytest
 
-PAGE = Path(__file__).parents[3] / "docs/adapters.md"
+PAGE = Path(__file__).parents[3] / "docs/guides/adapters.md"
 SECTIONS = dict(re.findall(r"## ([^\n]+)\n\n```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
 SMALLER = {
     "episode_length": 20, "num_timesteps": 1000, "num_envs": 8, "unroll_length": 5, "batch_size": 8,

@@ -110,7 +110,7 @@ def test_a_body_is_the_term_of_rigid_bodies() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, s in SCENES.items() if not (s.single or s.adaptive)])
 def test_the_truth_is_good(name: str) -> None:
-    """Two orders below what the best solver reaches in docs/failure_map.png."""
+    """Two orders below what the best solver reaches in docs/benchmarks/figures/failure_map.png."""
     scene = SCENES[name]
     found = truth(scene)
     assert np.isfinite(found.observed).all()
