@@ -1,0 +1,50 @@
+"""Numbers of README, the pages and the charts equal those of benchmarks/results."""
+
+from docs.generate import bars, benchmarks, figures, measured
+from docs.generate.subjects import TABLES
+from rbjax import style
+
+
+def test_typed_numbers_equal_the_results():
+    """`python -m docs.generate.figures` mends them."""
+    assert not figures.differing()
+
+
+def test_benchmark_pages_and_charts_are_up_to_date():
+    """`python -m docs.generate.benchmarks` mends them."""
+    assert not benchmarks.stale()
+
+
+def test_every_results_file_is_in_a_table_of_a_page():
+    shown = {
+        name
+        for page in benchmarks.FOLDER.glob("*.md")
+        for _, name, _ in benchmarks.PLACE.findall(page.read_text())
+    }
+    assert shown == set(TABLES)
+    used = {name for table in TABLES.values() for name in table.names()}
+    assert used == set(measured.names())
+
+
+def test_charts_have_the_colours_of_rbjax():
+    assert bars.PALETTE == (
+        style.BLUE,
+        style.ORANGE,
+        style.GREEN,
+        style.PURPLE,
+        style.RED,
+        style.TEAL,
+    )
+    assert (bars.INK, bars.GRID) == (style.INK, style.GRID)
+
+
+def test_a_wrong_number_is_found(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text("at 12<!-- = gpu.contact.go1.rollout --> million")
+    (found,) = figures.differing(tmp_path)
+    assert "README.md" in found and "12" in found
+
+
+def test_a_page_without_its_table_is_stale():
+    filled = benchmarks.filled("<!-- table: mpc -->\n<!-- end -->")
+    assert "| ticks |" in filled and filled == benchmarks.filled(filled)
