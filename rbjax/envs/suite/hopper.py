@@ -11,6 +11,10 @@ Controls in -1..1 are torques of 30, 40, 30 and 10 N m. Episodes of 20 s, in con
 the forces under toe and heel at the end of a control step, one solution of the contacts more than
 the physics needs; Playground's are those at the beginning of the last physics step.
 
+The reward "standing" has no slope. The curriculum, which learners by gradients apply, therefore
+begins with a `standing_margin` of 0.6 m below the height 0.6 m, and narrows it to 0 over the first
+two thirds of the training.
+
 Source: Tassa et al., *DeepMind Control Suite*, 2018 (hopper); step and resets of MuJoCo Playground
 0.2.0.
 """
@@ -23,6 +27,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
@@ -35,6 +40,8 @@ from rbjax.sensors import SubtreeVelocity, Touch, Volume
 
 STANDING_HEIGHT = 0.6
 HOPPING_SPEED = 2.0
+#: of the curriculum: margin at the beginning, m, and progress of the training at which it is 0
+FIRST_MARGIN, NO_MARGIN_FROM = 0.6, 2 / 3
 
 _PAD = Volume("sphere", (0.05,))
 _TOE, _HEEL = (Touch(Frame(site=name), volume=_PAD) for name in ("toe", "heel"))
@@ -84,7 +91,9 @@ def _task(name: str, second: Any, touch: bool) -> Task:
         {"policy": tuple(terms)},
         (Reward("standing", standing), Reward(second.__name__, second)),
         decimation=4,
+        values={"standing_margin": 0.0},
         total=product_of_rewards,
+        curriculum=narrow_margin,
         tracked="torso",
     )
 
@@ -95,9 +104,16 @@ def foot_forces(to: Any) -> jax.Array:
 
 
 def standing(to: Any) -> jax.Array:
-    """Reward 1 if the torso is high over the foot."""
+    """Reward a torso that is high over the foot."""
     torso, foot = (to.after.frame(Frame(center=name)).position[2] for name in ("torso", "foot"))
-    return tolerance(torso - foot, (STANDING_HEIGHT, 2.0))
+    margin = to.params.values["standing_margin"]
+    return tolerance(torso - foot, (STANDING_HEIGHT, 2.0), margin)
+
+
+def narrow_margin(params: Params, progress: Any) -> Params:
+    """Return the parameters at a progress of the training, with the margin of "standing"."""
+    margin = FIRST_MARGIN * jnp.maximum(0.0, 1 - progress / NO_MARGIN_FROM)
+    return params.replace(values={**params.values, "standing_margin": margin})
 
 
 def hopping(to: Any) -> jax.Array:
