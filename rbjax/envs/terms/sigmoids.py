@@ -118,7 +118,8 @@ def tolerance(
 
 
 def _known(x: Any) -> bool:
-    return not isinstance(x, jax.core.Tracer)
+    """Return whether Python can compare x: an array of JAX may become traced when it is used."""
+    return not isinstance(x, jax.Array)
 
 
 def _bounds(bounds: Any) -> tuple[Any, Any]:
