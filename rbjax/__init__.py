@@ -41,7 +41,14 @@ from rbjax.dynamics import (
     potential_energy,
 )
 from rbjax.dynamics.tracing.operations import operation_count
-from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
+from rbjax.errors import (
+    InputError,
+    MissingPackage,
+    ModelError,
+    RbjaxError,
+    UnknownName,
+    UnsupportedFeature,
+)
 from rbjax.model import Frame, Model, State
 
 if TYPE_CHECKING:
@@ -135,6 +142,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "ImpactTrajectory",
     "InputError",
+    "MissingPackage",
     "Frame",
     "Model",
     "ModelBuilder",

@@ -32,6 +32,10 @@ class InputError(RbjaxError, ValueError):
     """Error of an argument with a wrong shape, dtype or value."""
 
 
+class MissingPackage(InputError, ImportError):
+    """Error of a call that needs an optional package which is not installed."""
+
+
 def _nearest(known: Sequence[str], name: object) -> str:
     """Format known names for a message: all, or the nearest to an unknown name."""
     more = ""

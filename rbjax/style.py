@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
-from cycler import cycler
+from rbjax.optional import require
 
 INK, PAPER, GRID = "#22303c", "#ffffff", "#d9dee3"
 BLUE, ORANGE, GREEN, RED, PURPLE, TEAL = (
@@ -19,5 +20,25 @@ STYLE: Any = {
     "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.7, "axes.axisbelow": True,
     "text.color": INK, "xtick.color": INK, "ytick.color": INK, "font.size": 10,
     "legend.frameon": False, "legend.fontsize": 9, "savefig.dpi": 130,
-    "axes.prop_cycle": cycler(color=PALETTE),
+    "axes.prop_cycle": f"cycler('color', {PALETTE})",
 }  # fmt: skip
+
+
+def rgb(color: Any) -> tuple[float, float, float]:
+    """Convert a colour to red, green and blue from 0 to 1.
+
+    Args:
+        color: "#rrggbb", three numbers, or any other colour of matplotlib, which must then be
+            installed.
+
+    Example:
+        >>> rgb("#ff0033")
+        (1.0, 0.0, 0.2)
+    """
+    if isinstance(color, str) and re.fullmatch("#[0-9a-fA-F]{6}", color):
+        red, green, blue = (int(color[k : k + 2], 16) / 255 for k in (1, 3, 5))
+        return red, green, blue
+    if isinstance(color, tuple) and len(color) == 3:
+        return color
+    red, green, blue = require(f"the colour {color!r}", "matplotlib.colors").to_rgb(color)
+    return red, green, blue

@@ -18,6 +18,7 @@ from rbjax.cli.session import AsJson, File, Floating, app, out, progress, sessio
 from rbjax.dynamics.tracing.operations import OperationCount, operation_count
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.optional import require
 
 
 def operations(model: Model) -> dict[str, OperationCount]:
@@ -169,11 +170,8 @@ def _simulate(
 def _plot(
     path: Path, file: str, model: Model, arrays: dict[str, np.ndarray], floating_base: bool
 ) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    require("--plot", "matplotlib").use("Agg")
+    plt = require("--plot", "matplotlib.pyplot")
     from rbjax.plotting import STYLE, strobe, time_plot
 
     with plt.rc_context(STYLE):

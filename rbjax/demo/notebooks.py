@@ -18,9 +18,10 @@ from pathlib import Path
 from rbjax.demo.report import Section
 from rbjax.errors import RbjaxError
 
-CHECKOUT = Path(__file__).parents[2] / "notebooks"
-#: folder of the notebooks: in a checkout, or installed with the package
-FOLDER = CHECKOUT if CHECKOUT.is_dir() else Path(sys.prefix) / "share" / "rbjax" / "notebooks"
+#: where the wheel has the notebooks, which stand in `notebooks/` of a checkout
+INSTALLED = Path(__file__).parent / "scripts"
+#: folder of the notebooks
+FOLDER = INSTALLED if INSTALLED.is_dir() else Path(__file__).parents[2] / "notebooks"
 #: notebook -> its weight in progress bars
 NOTEBOOKS = {
     "forces": 10, "joints": 10, "loops": 15, "wheels": 15, "planning": 10, "gpu_threads": 5,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rbjax.arguments import real_array
 from rbjax.errors import InputError
 from rbjax.plotting.arguments import check_axis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:

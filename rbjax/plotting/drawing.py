@@ -8,13 +8,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
-from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull, QhullError
 
 from rbjax.arguments import real_array
@@ -22,13 +18,17 @@ from rbjax.contact import ContactForces
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.optional import require
 from rbjax.plotting.arguments import check_axis, check_solids, configurations
 from rbjax.plotting.contact_arrows import strokes, with_arrows
 from rbjax.plotting.film import Camera, Film, film, poses
 from rbjax.plotting.flexible_links import tubes
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.style import BLUE, GRID, ORANGE, RED
+from rbjax.style import BLUE, GRID, ORANGE, RED, rgb
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = np.ndarray
 _GROUND = "#f4f6f8"
@@ -151,12 +151,10 @@ def draw_solids(
     """
     check_axis("draw_solids", ax)
     R, p = check_solids("draw_solids", shapes, R, p, alpha)
-    camera = camera or Camera()
+    camera, Polygon = camera or Camera(), require("draw", "matplotlib.patches").Polygon
     if shadow:
         for hull in shadows(shapes, R, p, camera, world=world):
-            ax.add_patch(
-                Polygon(hull, color="#000000", alpha=0.06 * alpha, lw=0, zorder=zorder - 1)
-            )
+            ax.add_patch(Polygon(hull, color="#000", alpha=0.06 * alpha, lw=0, zorder=zorder - 1))
     for depth, one in enumerate(outlines(shapes, R, p, camera, alpha=alpha, world=world)):
         style: Any = {"facecolor": one.face, "edgecolor": one.edge, "zorder": zorder + 1e-3 * depth}
         ax.add_patch(Polygon(one.points, lw=0.7, joinstyle="round", **style))
@@ -167,11 +165,13 @@ class Stage:
 
     def __init__(self, ax: Axes, film: Film):
         self.ax, self.film = ax, film
+        artists = require("draw", "matplotlib.collections")
+        PolyCollection, LineCollection = artists.PolyCollection, artists.LineCollection
         self.disc = PolyCollection([], facecolors=_GROUND, linewidths=0, zorder=0)
         self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
         # opaque, so that overlapping shadows do not become darker
         self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
-        first = [(*to_rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
+        first = [(*rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
         self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
         self.forces = LineCollection([], colors=RED, linewidths=1.8, zorder=4)
         self.points = ax.scatter([], [], s=14, color=RED, zorder=5, linewidths=0)
@@ -298,8 +298,7 @@ def draw(
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
     if ax is None:
-        import matplotlib.pyplot as plt
-
+        plt = require("draw", "matplotlib.pyplot")
         ax = plt.subplots(figsize=(6, 5), layout="constrained")[1]
     shapes = shapes_of(model, source)
     shown = film(model, np.zeros(1), q[None, None], shapes, camera=camera)
@@ -323,6 +322,7 @@ def bare(ax: Axes, margin: float = 0.05) -> None:
         >>> ax.get_xlim()
         (np.float64(-0.05), np.float64(1.05))
     """
+    Polygon = require("bare", "matplotlib.patches").Polygon
     points = np.concatenate([patch.get_xy() for patch in ax.patches if isinstance(patch, Polygon)])
     points = np.concatenate([points, *(line.get_xydata() for line in ax.lines)])
     low, high = points.min(0), points.max(0)
@@ -389,7 +389,7 @@ def strobe(
         low, high = p[..., :2].min((0, 1)), p[..., :2].max((0, 1))
         x, y = np.array([low, high]).T + _AROUND * np.ptp(p[-1, :, 2]) * np.array([-1, 1])
         corners = [[x[0], y[0], 0], [x[1], y[0], 0], [x[1], y[1], 0], [x[0], y[1], 0]]
-        ax.add_patch(Polygon(np.array(corners) @ axes.T, color=_GROUND, lw=0, zorder=0))
+        ax.fill(*(np.array(corners) @ axes.T).T, color=_GROUND, lw=0, zorder=0)
     if contacts is not None:
         shown = film(model, np.zeros(1), q[None, -1:], shapes, camera=camera)
         shown = with_arrows("strobe", shown, model, contacts)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import to_rgb
 
 from rbjax.flexible import BeamElasticity
 from rbjax.flexible.strain import StrainBeam
@@ -22,7 +21,7 @@ from rbjax.joints.flexible import Flexible
 from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.plotting.solid_shapes import Solid, sphere
-from rbjax.style import PALETTE
+from rbjax.style import PALETTE, rgb
 
 Array = np.ndarray
 Color = tuple[float, float, float]
@@ -142,7 +141,7 @@ def tubes(model: Model, colors: Sequence[Color] | None = None) -> list[Solid]:
     for link in flexible_links(model):
         k = series.get(link.parent, len({*series.values()}))
         series[link.body] = k
-        color = to_rgb(PALETTE[k % len(PALETTE)]) if colors is None else colors[link.body]
+        color = rgb(PALETTE[k % len(PALETTE)]) if colors is None else colors[link.body]
         if isinstance(link.kind, StrainBeam):
             ends = [_ring(*axes) for axes in link.axes]
         else:

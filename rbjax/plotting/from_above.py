@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.quiver import Quiver
 
 from rbjax.compiling import compiled
 from rbjax.model import State
+from rbjax.optional import require
 from rbjax.style import BLUE, GRID, INK, RED
 from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.kinematics.planar import rotate
 from rbjax.wheeled.models.robot_model import RobotModel, contacts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.quiver import Quiver
 
 SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
 THICK = 0.3  # half the thickness of a wheel, relative to its radius
@@ -105,6 +107,8 @@ class Drawing:
 
     def __init__(self, ax: Axes, robot: Any, zorder: float = 2):
         self.robot = robot
+        collections = require("top_view", "matplotlib.collections")
+        PolyCollection, LineCollection = collections.PolyCollection, collections.LineCollection
         faces = [GRID if w.kind == "caster" else INK for w in robot.wheels]
         self.bodies = PolyCollection([], facecolors="none", edgecolors=INK, lw=1, zorder=zorder)
         self.lines = LineCollection([], colors=INK, lw=0.8, zorder=zorder)

@@ -8,16 +8,17 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from PIL import Image
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rbjax.errors import InputError, RbjaxError
+from rbjax.optional import require
+from rbjax.progress import progress_bar
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
 #: the number of colours of a GIF
 _COLORS = 128
@@ -25,7 +26,7 @@ _DPI = 100
 
 
 def check(where: str, path: Path, suffixes: Sequence[str]) -> None:
-    """Raise InputError if a file with this path cannot be written."""
+    """Raise InputError if a file with this path cannot be written here."""
     if path.suffix not in suffixes:
         raise InputError(
             f"{where}: got the file name {path.name!r}, expected one that ends in "
@@ -39,6 +40,9 @@ def check(where: str, path: Path, suffixes: Sequence[str]) -> None:
             f"{where}: {path.name} needs ffmpeg, which is not installed here: write {others} "
             "instead"
         )
+    if path.suffix in (".gif", ".mp4"):
+        for package in ("matplotlib", "PIL"):
+            require(where, package, f"write {path.stem}.html")
 
 
 def write(
@@ -53,17 +57,11 @@ def write(
     progress: a function of the number done and the total; None for a progress bar.
     """
     into = gif if path.suffix == ".gif" else mp4
-    console = Console(stderr=True, force_jupyter=False)
-    if progress is None and not console.is_terminal:
-        progress = lambda done, total: None  # noqa: E731
     if progress is not None:
         into(path, _counted(pictures, total, progress), fps)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(f"drawing {path.name}", total=total)
-        say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
-        into(path, _counted(pictures, total, say), fps)
+    with progress_bar(f"drawing {path.name}", total) as say:
+        into(path, _counted(pictures, total, lambda done, total: say(done)), fps)
 
 
 def _counted(
@@ -77,6 +75,7 @@ def _counted(
 def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
     """Write pictures (height, width, 3) of bytes as a GIF, whose durations are multiples of 10
     ms."""
+    Image = require("animate", "PIL.Image")
     images = [
         Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE) for picture in pictures
     ]
@@ -158,8 +157,9 @@ def schedule(
 
 def canvas_of(size: tuple[int, int]) -> tuple[FigureCanvasAgg, Figure]:
     """Make a canvas of a size in pixels, and its figure."""
+    Figure = require("animate", "matplotlib.figure").Figure
     figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
-    return FigureCanvasAgg(figure), figure
+    return require("animate", "matplotlib.backends.backend_agg").FigureCanvasAgg(figure), figure
 
 
 def picture(canvas: Any) -> np.ndarray:

@@ -10,14 +10,13 @@ from __future__ import annotations
 import colorsys
 
 import numpy as np
-from matplotlib.colors import to_rgb
 
 from rbjax.dynamics.arguments import check_model
 from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.plotting.flexible_links import flexible_links, tubes
 from rbjax.plotting.solid_shapes import Solid, capsule, cylinder, ellipsoid, sphere
-from rbjax.style import BLUE, GREEN, INK, PALETTE, RED
+from rbjax.style import BLUE, GREEN, INK, PALETTE, RED, rgb
 
 Array = np.ndarray
 
@@ -131,7 +130,7 @@ class _Skeleton:
 
     def solids(self) -> list[Solid]:
         out: list[Solid] = []
-        colors, ink, r = self.colors(), to_rgb(INK), self.radius
+        colors, ink, r = self.colors(), rgb(INK), self.radius
         for body, color in enumerate(colors):
             # the ellipsoid before the rod inside it: at equal depth, the later solid is in front
             out += self._ellipsoid(body, color)
@@ -179,7 +178,7 @@ class _Skeleton:
         centre = self.com[body] if kind == "free" else at
         pins = zip(np.eye(3), (RED, GREEN, BLUE), strict=True)
         axes = [
-            Solid(capsule(centre, centre + length * x, 0.35 * r), body, to_rgb(c), 1.0)
+            Solid(capsule(centre, centre + length * x, 0.35 * r), body, rgb(c), 1.0)
             for x, c in pins
         ]
         return axes if kind == "free" else [Solid(sphere(1.4 * r) + at, body, ink, 1.0), *axes]
@@ -195,5 +194,5 @@ def _towards(axis: Array) -> Array:
 
 def _lighter(color: object, by: float) -> tuple[float, float, float]:
     """Lighten a colour towards white. by: a fraction from 0 to 1."""
-    hue, light, saturation = colorsys.rgb_to_hls(*to_rgb(color))  # type: ignore[arg-type]
+    hue, light, saturation = colorsys.rgb_to_hls(*rgb(color))
     return colorsys.hls_to_rgb(hue, light + by * (1 - light), saturation)

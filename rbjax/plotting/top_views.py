@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection
 
 from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
+from rbjax.optional import require
 from rbjax.plotting import movie_files
 from rbjax.plotting.arguments import check_axis
 from rbjax.plotting.from_above import (
@@ -31,6 +30,9 @@ from rbjax.plotting.from_above import (
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE
 from rbjax.wheeled.models.robot_model import RobotModel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def top_view(
@@ -211,7 +213,8 @@ class _Discs:
     def __init__(self, ax: Axes, footprint: Any):
         self.centers = np.asarray(footprint.centers, float)
         wide = 2 * np.asarray(footprint.radii, float)
-        self.shown = EllipseCollection(
+        collections = require("top_view", "matplotlib.collections")
+        self.shown = collections.EllipseCollection(
             wide, wide, np.zeros(len(wide)), units="xy", offsets=self.centers,
             offset_transform=ax.transData, fc=GRID, ec="none", alpha=0.5, zorder=1.5,
         )  # fmt: skip

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.table import Table
+
+from rbjax.optional import require
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: columns, in order; all are compared with MuJoCo C in f64
 COLUMNS = ("rbjax f64", "rbjax f32", "MJX f64", "MJX f32")
@@ -81,7 +85,8 @@ class Report:
             caption += f"\nSwitched off on both sides: {'; '.join(self.switched_off)}."
         for note in self.notes:
             caption += f"\n{note}"
-        table = Table(title=self.model, caption=caption, caption_justify="left")
+        rich = require("Report.table", "rich.table", "use to_dict()")
+        table = rich.Table(title=self.model, caption=caption, caption_justify="left")
         table.add_column("quantity")
         for column in self.columns:
             table.add_column(column, justify="right")

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import check_model
-from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
+from rbjax.optional import require
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
@@ -148,16 +148,13 @@ def check_viser() -> Any:
     """Import viser.
 
     Raises:
-        InputError: it is not installed; the message has the command.
+        MissingPackage: it is not installed; the message has the command.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise InputError(
-            "view: the package viser is not installed: pip install 'rbjax[viewer]', or write an "
-            "HTML page without it: rbjax view ... --out page.html, or rb.plotting.animate"
-        ) from error
-    return viser
+    return require(
+        "view",
+        "viser",
+        "write an HTML page without it: rbjax view ... --out page.html, or rb.plotting.animate",
+    )
 
 
 def _server(title: str, host: str, port: int) -> Any:

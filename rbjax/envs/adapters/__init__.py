@@ -6,7 +6,7 @@ Files:
     gymnasium.py: `to_gymnasium`, `to_gymnasium_vector`, `to_gymnasium_functional`.
     gymnasium_names.py: `register_gymnasium`, names for `gymnasium.make`.
     rsl_rl.py: `to_rsl_rl`, with PyTorch tensors that share memory with JAX.
-    packages.py: the error of a package that is not installed.
+    arguments.py: checks of arguments.
 """
 
 from rbjax.envs.adapters.brax import to_brax, wrap_brax

@@ -22,11 +22,12 @@ import numpy as np
 
 from rbjax.arguments import integer
 from rbjax.envs.actions import action_center_and_scale
+from rbjax.envs.adapters.arguments import check_environment
 from rbjax.envs.adapters.gymnasium import finite
-from rbjax.envs.adapters.packages import check_environment, require
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import Params
 from rbjax.errors import InputError
+from rbjax.optional import require
 
 GROUPS = {"policy": "state", "critic": "privileged_state"}  # our name -> the name in Brax
 
@@ -61,7 +62,7 @@ def to_brax(
         >>> env.observation_size, env.action_size
         (5, 1)
     """
-    require("to_brax", "brax", "envs")
+    require("to_brax", "brax")
     check_environment("to_brax", environment)
     return _classes()[0](environment, params, privileged)
 
@@ -95,7 +96,7 @@ def wrap_brax(
         >>> batch.reset(jax.random.split(jax.random.key(0), 4)).obs.shape
         (4, 5)
     """
-    require("wrap_brax", "brax", "envs")
+    require("wrap_brax", "brax")
     one, batch = _classes()
     if not isinstance(env, one):
         raise InputError(

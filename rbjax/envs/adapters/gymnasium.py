@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice, integer
-from rbjax.envs.adapters.packages import check_environment, require
+from rbjax.envs.adapters.arguments import check_environment
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
+from rbjax.optional import require
 
 AUTORESET = ("next_step", "same_step", "disabled")
 
@@ -64,7 +65,7 @@ def to_gymnasium(environment: Environment, params: Params | None = None) -> Any:
         >>> obs.shape, terminated, truncated
         ((5,), False, False)
     """
-    require("to_gymnasium", "gymnasium", "envs")
+    require("to_gymnasium", "gymnasium")
     check_environment("to_gymnasium", environment)
     return _classes()[0](environment, params)
 
@@ -105,7 +106,7 @@ def to_gymnasium_vector(
         >>> obs.shape, reward.shape
         ((8, 5), (8,))
     """
-    require("to_gymnasium_vector", "gymnasium", "envs")
+    require("to_gymnasium_vector", "gymnasium")
     check_environment("to_gymnasium_vector", environment)
     integer("to_gymnasium_vector", "num_envs", num_envs, least=1)
     choice("autoreset", autoreset, AUTORESET)
@@ -136,7 +137,7 @@ def to_gymnasium_functional(environment: Environment, params: Params | None = No
         >>> env.observation(after, None).shape
         (5,)
     """
-    require("to_gymnasium_functional", "gymnasium", "envs")
+    require("to_gymnasium_functional", "gymnasium")
     check_environment("to_gymnasium_functional", environment)
     return _classes()[2](environment, params)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rbjax.envs.adapters.gymnasium import to_gymnasium, to_gymnasium_vector
-from rbjax.envs.adapters.packages import require
 from rbjax.envs.registry import make, tasks
+from rbjax.optional import require
 
 
 def register_gymnasium() -> list[str]:
@@ -31,7 +31,7 @@ def register_gymnasium() -> list[str]:
         >>> envs.observation_space.shape
         (4, 5)
     """
-    require("register_gymnasium", "gymnasium", "envs")
+    require("register_gymnasium", "gymnasium")
     import gymnasium
 
     names = []

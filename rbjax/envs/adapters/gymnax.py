@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.envs.adapters.arguments import check_environment
 from rbjax.envs.adapters.gymnasium import finite
-from rbjax.envs.adapters.packages import check_environment, require
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
 from rbjax.model.record import Record
+from rbjax.optional import require
 
 
 class GymnaxParams(Record):
@@ -65,7 +66,7 @@ def to_gymnax(environment: Environment, params: Params | None = None) -> Any:
         >>> obs.shape
         (5,)
     """
-    require("to_gymnax", "gymnax", "envs")
+    require("to_gymnax", "gymnax")
     check_environment("to_gymnax", environment)
     return _classes()[0](environment, params)
 
@@ -101,7 +102,7 @@ def to_rejax(environment: Environment, params: Params | None = None) -> Any:
         >>> obs.shape
         (5,)
     """
-    require("to_rejax", "gymnax", "envs")
+    require("to_rejax", "gymnax")
     check_environment("to_rejax", environment)
     return _classes()[1](environment, params)
 

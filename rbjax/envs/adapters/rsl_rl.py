@@ -14,9 +14,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer
-from rbjax.envs.adapters.packages import check_environment, require
+from rbjax.envs.adapters.arguments import check_environment
 from rbjax.envs.environment import Environment
 from rbjax.envs.episode import EnvState, Params
+from rbjax.optional import require
 
 
 def to_rsl_rl(
@@ -48,7 +49,7 @@ def to_rsl_rl(
         1
     """
     for package in ("torch", "tensordict", "rsl_rl"):
-        require("to_rsl_rl", package, "rsl")
+        require("to_rsl_rl", package)
     check_environment("to_rsl_rl", environment)
     integer("to_rsl_rl", "num_envs", num_envs, least=1)
     integer("to_rsl_rl", "seed", seed, least=0)

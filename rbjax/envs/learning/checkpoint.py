@@ -20,6 +20,7 @@ from rbjax.envs.learning.networks import Network, Normaliser
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.registry import make
 from rbjax.errors import InputError
+from rbjax.optional import require
 
 FORMAT = 1
 
@@ -175,14 +176,7 @@ def _arrays(policy: Policy) -> dict[str, np.ndarray]:
 
 
 def _orbax(where: str) -> Any:
-    try:
-        import orbax.checkpoint as orbax
-    except ImportError as error:
-        raise InputError(
-            f"{where}: orbax-checkpoint is not installed, expected it for checkpoints; "
-            "pip install 'rbjax[envs]'"
-        ) from error
-    return orbax.PyTreeCheckpointer()
+    return require(where, "orbax.checkpoint").PyTreeCheckpointer()
 
 
 def _plain(x: Any) -> Any:

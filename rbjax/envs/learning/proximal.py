@@ -27,6 +27,7 @@ from rbjax.envs.learning.critic import Critic
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.learning.trained import Report, Trained, no_report
 from rbjax.errors import InputError
+from rbjax.optional import require
 
 
 class TimeIsUp(Exception):
@@ -109,9 +110,8 @@ def ppo(
             f"{num_envs}"
         )
     brax_env = to_brax(env, params)
-    from brax.training.agents.ppo.networks import make_ppo_networks
-    from brax.training.agents.ppo.train import train as brax_train
-
+    make_ppo_networks = require("ppo", "brax.training.agents.ppo.networks").make_ppo_networks
+    brax_train = require("ppo", "brax.training.agents.ppo.train").train
     groups = brax_env.observation_size
     critic_group = "state"
     if isinstance(groups, dict) and "privileged_state" in groups:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rbjax.progress import progress_line
+from rbjax.optional import require
+from rbjax.progress import has_live_lines, progress_line
 
 
 class Monitor:
@@ -39,13 +41,12 @@ class Monitor:
         self.label, self.steps, self.folder, self.show = label, steps, folder, show
         self.rows: list[dict[str, float]] = []
         if folder is not None:
+            require("Monitor", "matplotlib", "folder=None, which draws no chart")
             folder.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Monitor:
-        from rich.console import Console
-
         self._began = time.perf_counter()
-        self._console = Console(stderr=True, force_jupyter=False)
+        self._live = has_live_lines()
         self._line = progress_line(self.label, self.show)
         self._say = self._line.__enter__()
         self._say("compiling")
@@ -66,10 +67,8 @@ class Monitor:
         self.rows.append(row | {name: float(x) for name, x in figures.items()})
         text = _sentence(self.rows[-1], self.steps)
         self._say(text)
-        if self.show and not self._console.is_terminal:
-            self._console.print(
-                f"{seconds:6.1f} s  {self.label}: {text}", highlight=False, soft_wrap=True
-            )
+        if self.show and not self._live:
+            print(f"{seconds:6.1f} s  {self.label}: {text}", file=sys.stderr, flush=True)
         if self.folder is not None:
             write_table(self.rows, self.folder / "table.csv")
 
@@ -111,9 +110,8 @@ def learning_curve(rows: Sequence[Mapping[str, float]], path: Path, title: str =
         >>> path.exists()
         True
     """
-    import matplotlib
-    from matplotlib.figure import Figure
-
+    matplotlib = require("learning_curve", "matplotlib")
+    Figure = require("learning_curve", "matplotlib.figure").Figure
     from rbjax.style import STYLE
 
     known = [row for row in rows if math.isfinite(row.get("reward", math.nan))]

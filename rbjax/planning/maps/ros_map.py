@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.optional import require
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale")
@@ -109,11 +109,12 @@ def _flag(where: str, text: Any) -> bool:
 
 def _image(where: str, path: Path) -> np.ndarray:
     """Read an image as pixels between 0 and 1, the mean over channels."""
+    pillow = require(where, "PIL.Image", "give the cells to OccupancyGrid")
     try:
-        with Image.open(path) as opened:
+        with pillow.open(path) as opened:
             image = opened.convert("L") if opened.mode in ("1", "P") else opened
             pixels = np.asarray(image, float)
             full = 65535.0 if image.mode.startswith("I") else 255.0
-    except (OSError, UnidentifiedImageError) as error:
+    except OSError as error:
         raise InputError(f"{where}: image: {error}; expected a PGM or PNG file") from error
     return (pixels.mean(-1) if pixels.ndim == 3 else pixels) / full

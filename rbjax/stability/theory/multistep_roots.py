@@ -16,10 +16,9 @@ import functools
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax
-import mpmath
 import numpy as np
 
 from rbjax import solvers
@@ -37,6 +36,7 @@ from rbjax.stability.theory.polynomials import (
     exact,
     gcd,
     multiply,
+    multiprecision,
     numeric_roots,
     poly,
     rational,
@@ -45,6 +45,9 @@ from rbjax.stability.theory.polynomials import (
     value,
 )
 from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
+
+if TYPE_CHECKING:
+    import mpmath
 
 RIM = 1e-14  # a root within this distance of the unit circle is on it
 
@@ -155,18 +158,19 @@ class Characteristic:
 
     def largest(self, x: Fraction, y: Fraction) -> mpmath.mpf:
         """Return the largest |zeta| at z = x + i y, to `DIGITS` digits."""
-        with mpmath.workdps(DIGITS):
-            z = mpmath.mpc(*(mpmath.mpf(w.numerator) / w.denominator for w in (x, y)))
-            row = [mpmath.mpc(0)] * (self.steps + 1)
+        mp = multiprecision()
+        with mp.workdps(DIGITS):
+            z = mp.mpc(*(mp.mpf(w.numerator) / w.denominator for w in (x, y)))
+            row = [mp.mpc(0)] * (self.steps + 1)
             for m, p in enumerate(self.by_power):
                 for j, c in enumerate(p):
                     row[j] += z**m * c.numerator / c.denominator
             if row[-1] == 0:
-                return mpmath.inf
+                return mp.inf
             while row[0] == 0:
                 row.pop(0)
             found = numeric_roots(row)
-            return max(map(abs, found), default=mpmath.mpf(0))
+            return max(map(abs, found), default=mp.mpf(0))
 
 
 Theory = (StabilityFunction, Characteristic)  # methods given by their polynomials, without code

@@ -12,13 +12,16 @@ import inspect
 import itertools
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mpmath
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.optional import require
 from rbjax.solvers.tableau import TOLERANCE
+
+if TYPE_CHECKING:
+    import mpmath
 
 Poly = tuple[Fraction, ...]
 
@@ -134,6 +137,15 @@ def gcd(p: Poly, q: Poly) -> Poly:
     return tuple(c / p[-1] for c in p)
 
 
+def multiprecision() -> Any:
+    """Return mpmath.
+
+    >>> multiprecision().mpf(2)
+    mpf('2.0')
+    """
+    return require("rb.stability", "mpmath")
+
+
 def roots(p: Poly) -> list[mpmath.mpc]:
     """Return the distinct complex roots to `DIGITS` digits.
 
@@ -144,20 +156,23 @@ def roots(p: Poly) -> list[mpmath.mpc]:
         p = divide(p, gcd(p, derivative(p)))[0]
     if len(p) < 2:
         return []
-    with mpmath.workdps(DIGITS):
-        exact = [mpmath.mpf(c.numerator) / c.denominator for c in p]
+    mp = multiprecision()
+    with mp.workdps(DIGITS):
+        exact = [mp.mpf(c.numerator) / c.denominator for c in p]
         return numeric_roots(exact)
 
 
 def numeric_roots(coefficients: Sequence[Any]) -> list[mpmath.mpc]:
     """Return the roots of a polynomial with mpmath's numbers, in its precision.
 
+    >>> import mpmath
     >>> [complex(r) for r in numeric_roots([mpmath.mpf(-2), mpmath.mpf(1)])]
     [(2+0j)]
     """
+    mp = multiprecision()
     # mpmath 1.3, which PyTorch requires, knows descending order only and has no argument for it
-    order = {"asc": False} if "asc" in inspect.signature(mpmath.polyroots).parameters else {}
-    return list(mpmath.polyroots(coefficients[::-1], maxsteps=500, extraprec=200, **order))
+    order = {"asc": False} if "asc" in inspect.signature(mp.polyroots).parameters else {}
+    return list(mp.polyroots(coefficients[::-1], maxsteps=500, extraprec=200, **order))
 
 
 def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
@@ -166,11 +181,11 @@ def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
     >>> [float(r) for r in real_roots(poly([-2, 0, 1]), low=0)]
     [1.4142135623730951]
     """
-    out = []
+    mp, out = multiprecision(), []
     for root in roots(p):
-        if abs(root.imag) < mpmath.mpf(10) ** (-DIGITS // 2):
+        if abs(root.imag) < mp.mpf(10) ** (-DIGITS // 2):
             man, exp = root.real.man_exp  # the mantissa has no sign
-            x = Fraction(int(mpmath.sign(root.real)) * man) * Fraction(2) ** exp
+            x = Fraction(int(mp.sign(root.real)) * man) * Fraction(2) ** exp
             if (low is None or x > low) and (high is None or x < high):
                 out.append(x)
     return sorted(out)

@@ -13,6 +13,7 @@ import numpy as np
 from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.html_page import element, listed, page, picture, table
+from rbjax.optional import require
 from rbjax.style import BLUE, INK, ORANGE, RED, STYLE
 from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.data.recording import Recording
@@ -238,9 +239,7 @@ def _styled(draw: Callable[..., bytes]) -> Callable[..., bytes]:
 
     @functools.wraps(draw)
     def drawn(*args: Any) -> bytes:
-        from matplotlib import rc_context
-
-        with rc_context(STYLE):
+        with require("report", "matplotlib").rc_context(STYLE):
             return draw(*args)
 
     return drawn
@@ -344,8 +343,7 @@ def _panels(count: int, draw: Any, label: str, shared: bool = True) -> bytes:
 def _figure(
     down: int, across: int, height: float, *, width: float = 9.5, widths: Any = None
 ) -> tuple[Any, list[list[Axes]]]:
-    from matplotlib.figure import Figure
-
+    Figure = require("report", "matplotlib.figure").Figure
     figure = Figure(figsize=(width, height), layout="constrained", dpi=110)
     axes = figure.subplots(down, across, squeeze=False, width_ratios=widths)
     return figure, [list(row) for row in axes]
