@@ -64,12 +64,16 @@ def listed(items: Sequence[str]) -> str:
     return f"<ul>{''.join(element('li', item) for item in items)}</ul>"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a table that scrolls on narrow pages."""
-    lines = ["".join(element("td", cell) for cell in row) for row in rows]
-    head = "".join(element("th", name) for name in columns)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], style: str = "") -> str:
+    """Format a table that scrolls on narrow pages. style: CSS of each cell, for other pages."""
+    cells = f' style="{style}"' if style else ""
+
+    def line(tag: str, row: Sequence[str]) -> str:
+        return f"<tr>{''.join(f'<{tag}{cells}>{html.escape(x)}</{tag}>' for x in row)}</tr>"
+
+    head = line("th", columns) if columns or not style else ""
+    body = "".join(line("td", row) for row in rows)
+    return f'<div class="scroll"><table>{head}{body}</table></div>'
 
 
 def picture(png: bytes, caption: str) -> str:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import spatial
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import SHAPES, checked, takes
 from rbjax.spatial import MassProperties
@@ -45,6 +46,7 @@ def coordinate_vector(where: str, name: str, value: Any) -> jax.Array:
 Force = Callable[[Any, "Body", jax.Array, jax.Array], jax.Array]
 
 
+@displayed
 class Body(NamedTuple):
     """Mass, center of mass and inertia of a body, such as `Body(*shapes.box([1, 2, 3], mass=5.0))`.
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from rbjax import spatial
 from rbjax.body.body import Body
+from rbjax.display import displayed
 from rbjax.lanes import matvec, safe_sqrt
 from rbjax.rotations.arguments import checked
 
@@ -50,6 +51,7 @@ def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
     return spatial.force_at(matvec(T[:3, :3].T, f), point)
 
 
+@displayed
 class UniformGravity(Force):
     """Gravity with a uniform acceleration (3,) in world axes, m/s^2."""
 
@@ -62,6 +64,7 @@ class UniformGravity(Force):
         return -body.mass * (self.acceleration * _at(T, body.com)).sum()
 
 
+@displayed
 class CentralGravity(Force):
     """Gravity of a point mass at `centre` (3,) with mu = G M, m^3/s^2, to second order in size.
 
@@ -90,6 +93,7 @@ class CentralGravity(Force):
         return -self.mu * body.mass / r - self.mu * second / (2 * r**3)
 
 
+@displayed
 class Buoyancy(Force):
     """Buoyancy of a fully immersed `volume` with its center at `centre` (3,) in the body."""
 
@@ -105,6 +109,7 @@ class Buoyancy(Force):
         return self.density * self.volume * (self.gravity * _at(T, self.centre)).sum()
 
 
+@displayed
 class LinearDrag(Force):
     """Linear drag -D (V - V_fluid), with D (6, 6) at the frame's origin in body axes.
 
@@ -118,6 +123,7 @@ class LinearDrag(Force):
         return -matvec(self.coefficients, _through(T, V, self.stream))
 
 
+@displayed
 class QuadraticDrag(Force):
     """Quadratic drag -d_i |V_i| V_i for each component of the twist relative to the fluid.
 
@@ -132,6 +138,7 @@ class QuadraticDrag(Force):
         return -self.coefficients * jnp.abs(past) * past
 
 
+@displayed
 class Spring(Force):
     """A spring between a world point (`anchor`) and a body point, with the force k (l - l_0)."""
 
@@ -152,6 +159,7 @@ class Spring(Force):
         return self.stiffness * (safe_sqrt((d * d).sum()) - self.rest_length) ** 2 / 2
 
 
+@displayed
 class Damper(Force):
     """A damper between a world point (`anchor`) and a body point, with the force -c dl/dt."""
 

@@ -22,11 +22,13 @@ import numpy as np
 
 from rbjax import spatial
 from rbjax.body.body import Body, Situation, inertia_matrix, kinetic_energy, total_wrench
+from rbjax.display import displayed
 from rbjax.lanes import matvec
 from rbjax.rotations import quaternion, se3, so3
 from rbjax.rotations.representation import Representation, find
 
 
+@displayed
 class State(NamedTuple):
     """A state: coordinates q (3 + size of the attitude), velocities or momenta v (6,)."""
 

@@ -26,6 +26,7 @@ from rbjax.arguments import real_number, shown
 from rbjax.constraints.equations.model_rows import jacobian, residual
 from rbjax.constraints.rows.pairs import HalfAngle, Pair
 from rbjax.constraints.rows.soft import Soft
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.arguments import check_arrays
@@ -34,6 +35,7 @@ from rbjax.model import Model, State
 from rbjax.rank_tolerances import rank_tolerance
 
 
+@displayed
 class Mobility(NamedTuple):
     """Degrees of freedom and redundant rows of a mechanism in one configuration.
 
@@ -113,6 +115,7 @@ STEPS, HALVINGS = 60, 12
 MOVED = 0.03
 
 
+@displayed
 class Assembly(NamedTuple):
     """Result of `assemble`.
 

@@ -15,6 +15,7 @@ from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.soft import compliant_motion
 from rbjax.constraints.rows.pairs import Pair
 from rbjax.constraints.rows.soft import Soft, is_soft
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.rnea import wrenches_to_links
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -28,6 +29,7 @@ from rbjax.model import WORLD, Model, State
 from rbjax.spatial import Force, Transform
 
 
+@displayed
 class ConstrainedMotion(NamedTuple):
     """Accelerations (nv,) and multipliers (m,) of constrained motion."""
 

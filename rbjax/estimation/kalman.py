@@ -23,10 +23,12 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import instance
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.estimation.state_space import SPACE, StateSpace, check_fits, check_inputs, matrix, real
 
 
+@displayed
 class KalmanFiltered(NamedTuple):
     """The estimates of a filter at each of N + 1 samples.
 
@@ -53,6 +55,7 @@ class KalmanFiltered(NamedTuple):
     kept: jax.Array
 
 
+@displayed
 class Smoothed(NamedTuple):
     """The estimate of each state from all samples.
 
@@ -254,6 +257,7 @@ def _predict(
     return new, (after + after.T) / 2, A
 
 
+@displayed
 class Estimate(NamedTuple):
     """A state and its covariance (n, n), in the tangent space of the state."""
 

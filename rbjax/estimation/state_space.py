@@ -21,6 +21,7 @@ import numpy as np
 
 from rbjax.arguments import real_array, shown
 from rbjax.constraints.formulation import Formulation
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -95,6 +96,7 @@ def _subtracted(read: Callable[[Any], jax.Array]) -> Callable[[Any, jax.Array], 
 SPACE = "a StateSpace, as StateSpace.of(move, read)"
 
 
+@displayed
 class StateSpace(NamedTuple):
     """A discrete model with noise, for states that are arrays (n,) or points of a manifold.
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from rbjax.display import displayed
 
+
+@displayed
 class Frame(NamedTuple):
     """A frame of a robot: the axes of a body, site or geom, with the origin at a point of it.
 

@@ -20,6 +20,7 @@ from rbjax.errors import InputError, ModelError
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.geoms import Geoms
+from rbjax.model.model_table import model_display
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.record import EXECUTION, PRECOMPUTED_FROM, Execution, cast_floats, index_of
@@ -100,6 +101,8 @@ class Model(Record):
         if how:
             changes["execution"] = changes.get("execution", self.execution).replace(**how)
         return super().replace(**changes)
+
+    _display_ = model_display
 
     @property
     def driver(self) -> str:

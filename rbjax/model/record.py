@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax import display
 from rbjax.errors import InputError, UnknownName
 
 #: arrays of up to this size are checked on the host, larger ones on their device
@@ -18,7 +19,10 @@ _RESIZE = "; build a new model to change its size, or jax.vmap over models to ha
 
 
 class Record(eqx.Module):
-    """An immutable pytree with named fields."""
+    """An immutable pytree with named fields. It displays itself (`rbjax.display`)."""
+
+    __repr__ = display.text
+    _repr_html_ = display.html
 
     def replace(self, **changes: Any):
         """Return a copy with the given fields changed. Arrays must keep their shapes."""

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled, inside_jit
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_arrays, check_moves
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
@@ -39,6 +40,7 @@ from rbjax.solvers.events import carry_back, integrate_until
 DONE, TOO_MANY, FAILED = 0, 1, 2
 
 
+@displayed
 class ImpactTrajectory(eqx.Module):
     """States of a motion with rigid impacts.
 

@@ -12,11 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
+from rbjax.display import Display, displayed, field_rows, host, shape, value_text
 from rbjax.dynamics.arguments import shape_of
 from rbjax.errors import InputError
 from rbjax.model import State
 
+#: trajectories of more numbers are not drawn in a notebook
+MOST_DRAWN = 1_000_000
 
+
+@displayed
 class Trajectory(eqx.Module):
     """States of a motion at increasing times.
 
@@ -71,6 +76,28 @@ class Trajectory(eqx.Module):
             f"{out}; the solver of contacts {failed if left.any() else 'converged in all steps'}, "
             f"largest error {worst:.2g}"
         )
+
+    def _display_(self) -> Display:
+        ts, ok, batch = host(self.ts), host(self.ok), shape(self.q)[:-2]
+        title = f"Trajectory{f' [batch {batch}]' if batch else ''}: "
+        title += f"{(shape(self.ts) or ('?',))[-1]} states"
+        if ts is not None and ts.ndim == 1:
+            title += f" from {ts[0]:.4g} to {ts[-1]:.4g} s"
+        if ok is not None:
+            title += ", finite" if ok.all() else f", {int((~ok).sum())} of {ok.size} not finite"
+        rows = field_rows(self, ["ts", "q", "v", "x", "memory", "report", "result"])
+        counts = self.stats.items() if isinstance(self.stats, dict) else ()
+        rows += [(name, value_text(x)) for name, x in counts if x is not None]
+        return Display(title, rows, picture=self._chart if ts is not None else None)
+
+    def _chart(self) -> str:
+        """Draw the coordinates of the first sample."""
+        from rbjax.svg import curves
+
+        ts, q = host(self.ts), host(self.q, most=MOST_DRAWN)
+        if ts is None or q is None or not q.size:
+            return ""
+        return curves(ts, q.reshape(-1, *q.shape[-2:])[0, :, :8], "q")
 
     def state(self, i: int) -> State:
         """Return the state at ts[i], for each sample of a batch. It has no report: the next motion

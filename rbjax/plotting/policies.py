@@ -13,6 +13,7 @@ import numpy as np
 from rbjax import contact as contacts_of
 from rbjax.arguments import instance, integer, real_number
 from rbjax.contact import ContactForces
+from rbjax.display import displayed
 from rbjax.envs import Environment, EnvState, Params
 from rbjax.envs.actions import action_center_and_scale
 from rbjax.errors import InputError
@@ -26,6 +27,7 @@ Policy = Callable[[Any, jax.Array], jax.Array]
 FEW = 8
 
 
+@displayed
 class Episodes(NamedTuple):
     """Recorded motion of an environment.
 

@@ -11,6 +11,7 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.loading import compile_model
 from rbjax.loading.loader import geoms_of
 from rbjax.model import Model
@@ -23,6 +24,7 @@ _MOST_POINTS = 400
 _MOST_TRIANGLES = 4000
 
 
+@displayed
 @dataclass(frozen=True)
 class Solid:
     """A convex solid fixed to a body, or a segment between two bodies.

@@ -28,6 +28,7 @@ from rbjax.contact.geometry.detection import chosen_pairs, contacts_at
 from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.impacts.point_velocity import contact_jacobian
 from rbjax.contact.registry import laws
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.energy import kinetic_energy, potential_energy
 from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError, RbjaxError
@@ -83,6 +84,7 @@ class LawTrial(NamedTuple):
     ok: bool
 
 
+@displayed
 @dataclass(frozen=True)
 class LawRecommendation(Recommendation):
     """A law of contact: `rb.rollout(r.model, state, None, r.dt, contact=r.contact)`, or

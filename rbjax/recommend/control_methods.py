@@ -14,6 +14,7 @@ from rbjax.arguments import integer
 from rbjax.control import Problem, methods, solve
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
+from rbjax.display import displayed
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
 from rbjax.recommend.recommendation import Recommendation, fastest
@@ -47,6 +48,7 @@ class Trial(NamedTuple):
         return self.status == SENTENCES[CONVERGED]
 
 
+@displayed
 @dataclass(frozen=True)
 class MethodRecommendation(Recommendation):
     """A method of `rb.control.solve`.

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_takes, shape_of
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
@@ -37,6 +38,7 @@ from rbjax.wheeled.models.slipping import Slipping
 ON_REQUEST = ("constrained",)
 
 
+@displayed
 @dataclass(frozen=True)
 class FidelityRecommendation(Recommendation):
     """A fidelity and a step: `rb.wheeled.rollout(r.model, r.state, ctrl, r.dt)`.

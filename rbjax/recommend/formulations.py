@@ -27,6 +27,7 @@ import numpy as np
 
 from rbjax.constraints import Formulation, formulations, jacobian, residual
 from rbjax.constraints.formulation import formulation_of
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_arrays, check_takes
@@ -61,6 +62,7 @@ WHY = {
 }
 
 
+@displayed
 @dataclass(frozen=True)
 class FormulationRecommendation(Recommendation):
     """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.

@@ -11,6 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from rbjax.arguments import real_number
+from rbjax.display import Display, displayed, value_text
 from rbjax.errors import InputError
 
 #: the least number of runs in a measurement of time
@@ -19,6 +20,7 @@ ROUNDS = 5
 FINEST = 1e-10
 
 
+@displayed
 @dataclass(frozen=True)
 class Recommendation:
     """A choice with its reason. Each recommender returns a subclass with more fields.
@@ -35,6 +37,12 @@ class Recommendation:
     cost: float
     candidates: tuple[Any, ...]
     reason: str
+
+    def _display_(self) -> Display:
+        title = f"{type(self).__name__}: {self.name!r}, cost {value_text(self.cost)}"
+        heads = self.candidates[0]._fields if self.candidates else ()
+        rows = [[value_text(getattr(x, h), 20) for h in heads] for x in self.candidates]
+        return Display(title, rows, heads, [self.reason])
 
     def table(self) -> str:
         """Return the candidates as a table, one a line."""

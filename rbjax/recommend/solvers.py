@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError
@@ -66,6 +67,7 @@ class Trial(NamedTuple):
     ok: bool
 
 
+@displayed
 @dataclass(frozen=True)
 class SolverRecommendation(Recommendation):
     """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt=r.dt)`.

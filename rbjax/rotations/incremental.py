@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import quaternion
@@ -32,6 +33,7 @@ LOCAL = (
 )
 
 
+@displayed
 class Incremental(NamedTuple):
     """The attitude R(reference) R(x), with a unit quaternion (..., 4) and parameters x (..., 3)."""
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.lanes import Vec3, safe_sqrt
 from rbjax.rotations.arguments import entries, stacked, takes
 
@@ -20,6 +21,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+@displayed
 class Screw(NamedTuple):
     """A screw: the line along a unit `axis` through `point`, `pitch` (m/rad) and `magnitude`."""
 

@@ -29,6 +29,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer, real_number
 from rbjax.compiling import compiled, inside_jit
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
 from rbjax.solvers.root_finding import stop_gradient
@@ -42,6 +43,7 @@ VectorField = Callable[[Any, Any, Any], Any]
 Guard = Callable[[Any, Any, Any], jax.Array]
 
 
+@displayed
 class Arrival(NamedTuple):
     """Result of `integrate_until`.
 

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.lanes import matvec
 from rbjax.solvers.field import flatten, linearize
 from rbjax.solvers.root_finding import iterative, mark_failed, step_result, stop_gradient
@@ -57,6 +58,7 @@ def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bo
     return True
 
 
+@displayed
 @dataclass(frozen=True)
 class RosenbrockTableau:
     """Coefficients of a Rosenbrock-W method.

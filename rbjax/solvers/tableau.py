@@ -16,6 +16,7 @@ import diffrax
 import numpy as np
 from numpy.polynomial import Polynomial, legendre
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 
 Tree = tuple  # a rooted tree, as the tuple of its branches; () is a leaf
@@ -91,6 +92,7 @@ def proven_order(a: np.ndarray, b: np.ndarray) -> int:
     return min(p, eta + zeta + 1, 2 * eta + 2)
 
 
+@displayed
 @dataclass(frozen=True)
 class Tableau:
     """A Runge-Kutta method. All sequences or arrays are converted to tuples.

@@ -21,12 +21,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Sym3, Vec3, matmat, matvec
 from rbjax.rotations.arguments import checked, entries, pose_parts, stacked, takes
 from rbjax.spatial.vectors import ArticulatedInertia, Motion, RigidInertia, Transform
 
 
+@displayed
 class MassProperties(NamedTuple):
     """Mass (...) in kg, com (..., 3) in m, and inertia (..., 3, 3) about the com in kg m^2."""
 
@@ -35,6 +37,7 @@ class MassProperties(NamedTuple):
     inertia: jax.Array
 
 
+@displayed
 class PrincipalAxes(NamedTuple):
     """Principal moments (..., 3), ascending, and axes R (..., 3, 3): I = R diag(moments) R^T.
 
@@ -179,6 +182,7 @@ def _matrix(inertia: Any) -> jax.Array:
     return stacked([columns[j][i] for i in range(6) for j in range(6)], 6, 6)
 
 
+@displayed
 class Consistency(NamedTuple):
     """The conditions for inertial parameters of a body, and their margin.
 

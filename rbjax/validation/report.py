@@ -12,6 +12,8 @@ from rbjax.optional import require
 if TYPE_CHECKING:
     from rich.table import Table
 
+from rbjax.display import Display, displayed, plural
+
 #: columns, in order; all are compared with MuJoCo C in f64
 COLUMNS = ("rbjax f64", "rbjax f32", "MJX f64", "MJX f32")
 
@@ -24,6 +26,7 @@ class Error:
     worst: float
 
 
+@displayed
 @dataclass(frozen=True)
 class Row:
     """A quantity, with its errors and the largest allowed errors of rbjax, both by column."""
@@ -39,6 +42,7 @@ class Row:
         return bool(self.errors[column].worst <= self.tolerances[column])
 
 
+@displayed
 @dataclass(frozen=True)
 class Report:
     """A comparison with MuJoCo C.
@@ -63,6 +67,18 @@ class Report:
     rows: tuple[Row, ...]
     switched_off: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
+
+    def _display_(self) -> Display:
+        result = "within tolerances" if self.ok else "out of tolerances"
+        title = f"Report: {self.model!r}, {plural(self.states, 'state')}, {result}"
+        rows = [
+            (
+                r.quantity,
+                *(f"{r.errors[c].worst:.1e}" if c in r.errors else "-" for c in self.columns),
+            )
+            for r in self.rows
+        ]
+        return Display(title, rows, ("worst error", *self.columns))
 
     @property
     def ok(self) -> bool:

@@ -30,6 +30,7 @@ from rbjax.contact.impacts.point_velocity import (
     file_friction,
 )
 from rbjax.contact.parameters import pair_parameters
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError, UnknownName, listed
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec
@@ -38,6 +39,7 @@ from rbjax.model import Model, State
 LAWS = ("newton", "energetic")
 
 
+@displayed
 class Impulse(NamedTuple):
     """The result of an impact.
 

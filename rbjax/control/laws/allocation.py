@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
@@ -33,6 +34,7 @@ from rbjax.rank_tolerances import rank_tolerance
 UNDRIVEN = ("refuse", "least_squares")
 
 
+@displayed
 class Allocation(NamedTuple):
     """Result of `allocate`.
 

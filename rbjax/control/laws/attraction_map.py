@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag, integer, real_number
+from rbjax.display import Display, field_rows, host, shape
 from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.kinematics.arguments import check_not_negative, check_several
@@ -23,6 +24,9 @@ from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.motion.rollout import run_rollout
 
 KEPT = 2**23  # maximum number of state entries in memory: 64 MiB in f64
+
+#: maps of more states are not drawn in a notebook
+MOST_CELLS = 4_000_000
 
 
 class RegionMap(Record):
@@ -41,6 +45,19 @@ class RegionMap(Record):
     distance: jax.Array
     time: jax.Array
     names: tuple[str, str] = eqx.field(static=True)
+
+    def _display_(self) -> Display:
+        back = host(self.back, most=MOST_CELLS)
+        size = " x ".join(map(str, reversed(shape(self.back))))
+        title = f"RegionMap: {size} initial states"
+        title += "" if back is None else f", {back.mean():.0%} return"
+        return Display(title, field_rows(self), picture=self._picture)
+
+    def _picture(self) -> str:
+        from rbjax.svg import cells
+
+        back = host(self.back, most=MOST_CELLS)
+        return "" if back is None or back.ndim != 2 else cells(back.T)
 
     @property
     def share(self) -> jax.Array:

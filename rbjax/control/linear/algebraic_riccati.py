@@ -34,6 +34,7 @@ from rbjax.control.linear.lyapunov_equation import is_stable, solve_stable
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, first_of
+from rbjax.display import displayed
 
 
 class Double(NamedTuple):
@@ -95,6 +96,7 @@ EDGE = 0.02  # a relative change of P by a step that means no convergence
 Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
+@displayed
 class Regulator(NamedTuple):
     """A regulator of infinite horizon; K and P are 0 if there is no solution.
 

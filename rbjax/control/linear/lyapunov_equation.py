@@ -26,6 +26,7 @@ from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, first_of, raise_failure
+from rbjax.display import displayed
 from rbjax.errors import UnknownName
 
 #: maximum number of squarings; they resolve a spectral radius of 1 - 1e-15
@@ -33,6 +34,7 @@ SQUARINGS = 56
 METHODS = ("doubling", "kronecker")
 
 
+@displayed
 class Lyapunov(NamedTuple):
     """The solution of a Lyapunov equation.
 

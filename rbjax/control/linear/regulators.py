@@ -26,6 +26,7 @@ from rbjax.control.linear.arguments import check_matrices, check_regulator, weig
 from rbjax.control.linear.riccati import Gains, backward, constant_problem, definite_factor
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, raise_failure
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_arrays, check_model
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -215,6 +216,7 @@ def _feedback(model: Model, held: State, ctrl: Any, K: Any, t: Any, state: State
     return ctrl - (K * box_minus(model, held, state)).sum(-1)
 
 
+@displayed
 class SteadyFilter(NamedTuple):
     """A steady Kalman filter.
 

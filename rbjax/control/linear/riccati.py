@@ -24,11 +24,13 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 from rbjax.arguments import instance, integer
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array
 
 MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
 
+@displayed
 class LinearQuadratic(NamedTuple):
     """A linear-quadratic problem of N steps, n states and m controls.
 
@@ -48,6 +50,7 @@ class LinearQuadratic(NamedTuple):
     S: jax.Array
 
 
+@displayed
 class Gains(NamedTuple):
     """The solution: du = -K dx - k, and the cost to go 1/2 dx'P dx + p'dx + constant.
 
@@ -210,6 +213,7 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
     return by_state + by_control + (x[:-1, :, None] * problem.S * u[:, None, :]).sum()
 
 
+@displayed
 class Steered(NamedTuple):
     """The result of `steer`.
 

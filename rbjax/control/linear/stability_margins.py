@@ -23,12 +23,14 @@ from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.linear.lyapunov_equation import is_stable
 from rbjax.control.products import product
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_step
 
 CROSSINGS = 16  # maximum number of crossings of each kind
 HALVINGS = 50
 
 
+@displayed
 class Margins(NamedTuple):
     """Stability margins, one entry an input.
 

@@ -21,12 +21,14 @@ from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model, check_step
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_not_negative
 from rbjax.model import Model
 
 
+@displayed
 class Reach(NamedTuple):
     """A controllable or observable subspace of states.
 

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.control.optimal.problem_table import problem_display
 from rbjax.control.optimal.system import Linearised, System, system_of
 from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
@@ -170,6 +171,8 @@ class Problem(Record):
         finite = ": a finite time in s"
         self.start_time = check_array("Problem", "start_time", start_time, (), fix=finite)
         self.free = _free(free_start, self.system.n)
+
+    _display_ = problem_display
 
     @property
     def nu(self) -> int:

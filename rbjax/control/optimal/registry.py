@@ -16,10 +16,12 @@ from rbjax.control.optimal.shooting.single_shooting import (
     solve_single_shooting,
 )
 from rbjax.control.optimal.shooting.sqp import solve_sqp
+from rbjax.display import displayed
 from rbjax.errors import UnknownName
 from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
+@displayed
 class Method(NamedTuple):
     """A method of `solve`.
 

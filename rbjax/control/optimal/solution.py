@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from rbjax.control.optimal.objective import PENALTY
 from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.status import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
+from rbjax.display import Display, field_rows, host, number, shape
 from rbjax.errors import InputError
 from rbjax.model.record import Record
 
@@ -142,6 +143,25 @@ class Solution(Record):
             off = float(self.violations[worst])
             text += f"; the constraint {names[worst]!r} has the largest violation, {off:.3g}"
         return text
+
+    def _display_(self) -> Display:
+        status, cost = host(self.status), host(self.cost)
+        title = f"Solution by {self.method}: {self.problem.horizon} steps"
+        if status is not None and status.ndim:
+            title += f", {int((status == CONVERGED).sum())} of {status.size} converged"
+        elif status is not None and cost is not None:
+            how = SENTENCES.get(int(status), "not finished").partition(":")[0]
+            title += f", {how}, cost {number(cost)}"
+        names = ["iterations", "ts", "states", "ctrl", "parameters", "gap", "violation", "K"]
+        return Display(title, field_rows(self, names), picture=self._chart)
+
+    def _chart(self) -> str:
+        """Draw the controls."""
+        from rbjax.svg import curves
+
+        ts, ctrl = host(self.ts), host(self.ctrl)
+        known = ts is not None and ctrl is not None and ts.ndim == 1 and shape(ctrl)[-1:] != (0,)
+        return curves(ts[:-1], ctrl[:, :8], "ctrl") if known else ""  # type: ignore[index]
 
     @property
     def model(self) -> Any:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.composites import (
     Coriolis,
     axis_rates,
@@ -83,6 +84,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     return pair_matrix(d, (S, outer), (inner, axes), v)
 
 
+@displayed
 class LagrangeCoefficients(NamedTuple):
     """The coefficients of tau_i = D_ij a_j + D_ijk v_j v_k + D_i at a configuration.
 

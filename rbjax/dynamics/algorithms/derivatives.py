@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.aba import aba, acceleration, forward_dynamics
 from rbjax.dynamics.algorithms.columns import forward_by_columns, inverse_by_columns
 from rbjax.dynamics.algorithms.composites import (
@@ -36,6 +37,7 @@ from rbjax.model import Model
 Derivatives = tuple[jax.Array, jax.Array, jax.Array]
 
 
+@displayed
 class InverseDynamicsDerivatives(NamedTuple):
     """Derivatives (nv, nv) of tau with respect to q (tangent), v and a. The last is M."""
 
@@ -44,6 +46,7 @@ class InverseDynamicsDerivatives(NamedTuple):
     a: jax.Array
 
 
+@displayed
 class ForwardDynamicsDerivatives(NamedTuple):
     """Derivatives (nv, nv) of a with respect to q (tangent), v and tau. The last is M^-1."""
 

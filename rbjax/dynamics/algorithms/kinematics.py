@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.joints import JointMotion
@@ -35,6 +36,7 @@ def per_link(d: Driver, f_ext: LinkForces | None) -> Any:
     return d.scattered(f_ext or {}, Force.zero())
 
 
+@displayed
 class Poses(NamedTuple):
     """Rotation R (nb, 3, 3), body to world axes, and position p (nb, 3) of each body's frame."""
 

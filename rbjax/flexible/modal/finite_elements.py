@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class FiniteElements:
     """A structure of linear finite elements.

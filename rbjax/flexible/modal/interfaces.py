@@ -17,10 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.flexible.modal.finite_elements import FiniteElements
 
 
+@displayed
 @dataclass(frozen=True)
 class Interface:
     """A set of nodes to which a joint, a child or a force is attached.

@@ -24,10 +24,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
 
 
+@displayed
 class InertiaInvariants(NamedTuple):
     """The invariants of a body with m modes.
 

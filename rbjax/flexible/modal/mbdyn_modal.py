@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError, UnknownName
 from rbjax.flexible.modal.body import ModalBody
 from rbjax.flexible.modal.invariants import InertiaInvariants, inertia_invariants, modal_body
@@ -22,6 +23,7 @@ from rbjax.flexible.modal.invariants import InertiaInvariants, inertia_invariant
 _RECORD = re.compile(r"\*\*\s*RECORD\s+GROUP\s+(\d+)", re.IGNORECASE)
 
 
+@displayed
 class MBDynModal(NamedTuple):
     """A body of MBDyn's modal format, and its initial state.
 

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import ModalBody, generalized_modes
 from rbjax.flexible.modal.finite_elements import FiniteElements
@@ -143,6 +144,7 @@ def stiffness_in_motion(
     return K
 
 
+@displayed
 class FastRotation(NamedTuple):
     """The modal stiffness of a body that rotates at constant angular velocity.
 

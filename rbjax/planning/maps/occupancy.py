@@ -26,10 +26,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled
+from rbjax.display import Display, field_rows, host, shape, value_text
 from rbjax.errors import InputError
 from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.planning.maps.ros_map import read
+
+#: maps of more cells are not drawn in a notebook
+MOST_CELLS = 4_000_000
 
 
 class DistanceField(Record):
@@ -108,6 +112,20 @@ class OccupancyGrid(Record):
             raise InputError(
                 f"OccupancyGrid(origin=...): got the shape {jnp.shape(self.origin)}, expected (2,)"
             )
+
+    def _display_(self) -> Display:
+        known, title = host(self.occupied), "OccupancyGrid"
+        if len(shape(self.occupied)) == 2:
+            nx, ny = shape(self.occupied)
+            title += f": {nx} x {ny} cells of {value_text(self.resolution)} m"
+        title += "" if known is None else f", {known.mean():.0%} occupied"
+        return Display(title, field_rows(self), picture=self._picture)
+
+    def _picture(self) -> str:
+        from rbjax.svg import cells
+
+        known = host(self.occupied, most=MOST_CELLS)
+        return "" if known is None or known.ndim != 2 else cells(known)
 
     @classmethod
     def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance, integer, real_number, shown
+from rbjax.display import Display, displayed, field_rows, host, number, plural
 from rbjax.errors import InputError
 from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, floats
@@ -242,6 +243,7 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
     return (field.below(disc_centers(there, footprint)) > wide).all((-1, -2, -3))
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Plan:
     """The result of a search.
@@ -263,6 +265,25 @@ class Plan:
     expanded: int = 0
     path: Path | None = None
     refinement: str = "none"
+
+    def _display_(self) -> Display:
+        cost = "" if self.cost is None else f", cost {number(self.cost)}"
+        title = f"Plan: {self.status}{cost}, {plural(self.expanded, 'visited cell')}"
+        names = ["poses", "controls", "path", "refinement"]
+        return Display(title, field_rows(self, names), picture=self._picture)
+
+    def _picture(self) -> str:
+        """Draw the path."""
+        from rbjax.svg import polygons
+
+        start, steps = (
+            host(getattr(self.path, "start", None)),
+            host(getattr(self.path, "steps", None)),
+        )
+        if start is None or steps is None or start.ndim != 1:
+            return ""
+        points = chain(start, np.repeat(steps / 4, 4, axis=0), np)[:, :2]
+        return polygons([np.concatenate([points, points[::-1]])], [False])
 
     @property
     def found(self) -> bool:

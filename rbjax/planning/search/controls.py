@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import real_array, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint
 from rbjax.planning.paths.path import Path, displacements
@@ -28,6 +29,7 @@ HEADINGS = 72  # heading cells of a full turn
 UNIT = 10  # the price of driving a cell's diagonal straight ahead
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Controls:
     """The finite set of controls of a planner.

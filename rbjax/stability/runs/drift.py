@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rbjax.arguments import integer, real_array, real_number
+from rbjax.display import displayed
 from rbjax.dynamics import (
     center_of_mass,
     centroidal_momentum,
@@ -52,6 +53,7 @@ DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
 Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
 
 
+@displayed
 class March(eqx.Module):
     """The result of a run.
 
@@ -269,6 +271,7 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
     return Trend(slope, error, change, amplitude, bool(drifts))
 
 
+@displayed
 class Invariants(eqx.Module):
     """Function (t, state, model) -> dict of the invariants of a free robot.
 

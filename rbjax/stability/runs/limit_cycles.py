@@ -21,6 +21,7 @@ import numpy as np
 
 from rbjax.arguments import floating_array, integer, real_number
 from rbjax.compiling import compiled
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 
@@ -28,6 +29,7 @@ from rbjax.errors import InputError
 HALVINGS = 12
 
 
+@displayed
 class LimitCycle(NamedTuple):
     """A fixed point of a return map.
 

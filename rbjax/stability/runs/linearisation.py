@@ -12,6 +12,7 @@ import numpy as np
 from rbjax.arguments import real_array
 from rbjax.constraints import residual
 from rbjax.constraints.equations.soft_weights import with_weights
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_arrays, check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -50,6 +51,7 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
     return linearise_rates(model, state, Inputs(ctrl), dynamics=dynamics)[1]
 
 
+@displayed
 class Reduced(NamedTuple):
     """Linearisation on the tangent space of the constraints: d/dt dz = A dz + B du.
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from rbjax._jax_compat import scan_kind
 from rbjax.arguments import integer, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.solvers import rkmk
@@ -36,6 +37,7 @@ from rbjax.stability.runs.drift import (
 BLOCKS = 16  # number of blocks, whose means give the standard error
 
 
+@displayed
 class Exponent(NamedTuple):
     """A largest Lyapunov exponent.
 
@@ -54,6 +56,7 @@ class Exponent(NamedTuple):
     finite: bool
 
 
+@displayed
 class GradientGrowth(NamedTuple):
     """The norm of the tangent map over time.
 

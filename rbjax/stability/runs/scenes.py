@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.loading import load
 from rbjax.model import Model, State
 from rbjax.rotations import quaternion
@@ -235,6 +236,7 @@ class Scene:
         return State(first, second) if isinstance(self.system, Arm) else (first, second)
 
 
+@displayed
 class Truth(NamedTuple):
     """True motion of a scene: observed (201, n), and the bound of its error."""
 
@@ -328,11 +330,9 @@ def scenes() -> dict[str, Scene]:
         for k, refine in ((2, 4), (4, 16), (6, 64), (9, 256))
     }
     out["servo"] = Scene(
-        "servo gains far above the step's limit",
-        Arm(kp=(1e5, 1e5), kv=(1e3, 1e3)),
-        ((0.5, -0.5), (0.0, 0.0)),
-        refine=64,
-    )
+        "servo gains far above the step's limit", Arm(kp=(1e5, 1e5), kv=(1e3, 1e3)),
+        ((0.5, -0.5), (0.0, 0.0)), refine=64,
+    )  # fmt: skip
     out["damping"] = Scene(
         "joint damping of 1e3 N m s/rad",
         Arm(damping=(1e3, 1e3)),

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from rbjax import solvers
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.rosenbrock import RosenbrockW, holds
@@ -33,6 +34,7 @@ VANISHES = 1e-9  # rounding of R(infinity) for coefficients of about twelve digi
 HIGHEST = 8  # largest order checked by conditions: 115 trees with eight nodes
 
 
+@displayed
 @dataclass(frozen=True)
 class LinearAnalysis:
     """The linear theory of a method on y' = lambda y with z = h lambda.
@@ -165,6 +167,7 @@ ON_GROUPS = (
 )
 
 
+@displayed
 @dataclass(frozen=True)
 class MeasuredOrder:
     """A measured order of convergence.

@@ -23,6 +23,7 @@ import numpy as np
 
 from rbjax import solvers
 from rbjax.arguments import flag, shown
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, solver_of
 from rbjax.stability.theory.polynomials import (
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 RIM = 1e-14  # a root within this distance of the unit circle is on it
 
 
+@displayed
 @dataclass(frozen=True)
 class Characteristic:
     """A characteristic polynomial phi(zeta, z) = sum_m z^m c_m(zeta), in exact arithmetic.

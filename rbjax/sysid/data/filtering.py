@@ -24,6 +24,7 @@ from scipy import interpolate, signal
 from scipy.spatial.transform import Rotation, Slerp
 
 from rbjax.arguments import integer, real_array
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
 
@@ -35,6 +36,7 @@ DIFFERENCES = {1: np.array([3 / 4, -3 / 20, 1 / 60]), 2: np.array([3 / 2, -3 / 2
 HALF_POWER = np.sqrt(2) - 1  # w^(2 n) at the cut-off
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Filtered:
     """A filtered signal, or a derivative of a filtered signal.

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.arguments import choice, instance, real_array
+from rbjax.display import Display, displayed, plural, value_text
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.sensors import kinds
@@ -34,6 +35,7 @@ PLACED_SENSORS = {"pose": 7, "position": 3, "gyro": 3, "accelerometer": 3, "forc
 HELD = "ctrl"
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Channel:
     """The samples of one sensor, with its own clock.
@@ -141,6 +143,7 @@ class Channel:
         return Channel(t, values, self.names, noise=self.noise, dropped="nan")
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Recording:
     """The channels of one run, by sensor. All clocks have the same origin.
@@ -204,6 +207,16 @@ class Recording:
                 f"Recording {self.name}: channel {first} begins at {self.start:g} s, after channel "
                 f"{last} has ended ({self.end:g} s), expected clocks that count from one instant"
             )
+
+    def _display_(self) -> Display:
+        rows = []
+        for sensor, x in self.channels.items():
+            missing = int((~x.arrived).sum())
+            names = value_text(tuple(map(str, x.names)), 40)
+            rows.append((sensor, str(len(x.t)), f"{1 / x.step:.4g}", names, str(missing)))
+        title = f"Recording {self.name!r}: {self.end - self.start:.4g} s"
+        title += f", {plural(len(rows), 'channel')}"
+        return Display(title, rows, ("sensor", "samples", "Hz", "columns", "missing"))
 
     @property
     def start_is_known(self) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import integrate, ndimage
 
 from rbjax.arguments import instance
+from rbjax.display import displayed
 from rbjax.sysid.data.recording import HELD, Channel, Recording
 
 GAP = 3.0  # least length of a gap, in median steps of the clock
@@ -28,6 +29,7 @@ SLOPE = 0.05  # largest deviation from 1 of the ratio of v to the derivative of 
 LAG = 0.05  # time lag of the comparison of q with integrated v, as a share of a recording
 
 
+@displayed
 @dataclass(frozen=True)
 class Finding:
     """A probable mistake in a recording.

@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rbjax.arguments import integer
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats, recordings_of
 from rbjax.sysid.data.recording import Recording
 
 
+@displayed
 class Split(NamedTuple):
     """Recordings for training, validation and test."""
 

@@ -16,11 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer, real_array, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 
 DEGREE = 5  # polynomial degree of the splines, for a smooth acceleration
 
 
+@displayed
 class Motion(NamedTuple):
     """A sampled trajectory.
 
@@ -40,6 +42,7 @@ def _seconds(x: Any) -> Any:
     return float(x) if isinstance(x, (int, float, np.number)) else x
 
 
+@displayed
 class Fourier(eqx.Module):
     """A finite Fourier series for each joint, with one common period.
 
@@ -106,6 +109,7 @@ class Fourier(eqx.Module):
         return cls(q0, a, b, period)
 
 
+@displayed
 class Spline(eqx.Module):
     """A quintic B-spline for each joint that starts and ends at rest.
 

@@ -27,6 +27,7 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import choice, instance, integer, real_array
+from rbjax.display import displayed
 from rbjax.dynamics import inverse_dynamics
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -62,6 +63,7 @@ CRITERIA: dict[str, Callable[[jax.Array], jax.Array]] = {
 }  # fmt: skip
 
 
+@displayed
 class MotionLimits(eqx.Module):
     """Limits of a trajectory.
 
@@ -128,6 +130,7 @@ class MotionLimits(eqx.Module):
         return out
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """The result of `design_experiment`.

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice, instance
+from rbjax.display import Display, displayed, number, plural
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
@@ -44,6 +45,7 @@ class Options(NamedTuple):
     difference_step: float | None = None
 
 
+@displayed
 @dataclass(frozen=True)
 class Identified(HasStatus):
     """The result of an identification.
@@ -93,6 +95,19 @@ class Identified(HasStatus):
         """Return status, verdict, notes and intervals of the unknowns, one sentence a line."""
         first = [f"{self.status.text} in {self.evaluations} evaluations", self.verdict.summary()]
         return "\n".join([*first, *self.notes, *self.estimates.sentences()[: len(self.values)]])
+
+    def _display_(self) -> Display:
+        title = f"Identified: {self.status.text} in {plural(self.evaluations, 'evaluation')}"
+        rows = []
+        for name in self.values:
+            x = self.estimates.interval(name)
+            ends = (number(self.guess[name]), number(x.low), number(x.high))
+            rows.append((name, number(x.value), *ends) if np.isfinite(x.sigma) else
+                        (name, number(x.value), ends[0], "not identified", ""))  # fmt: skip
+        columns = ("unknown", "estimate", "guess", "95 % from", "to")
+        rms = (f"{s} {', '.join(map(number, x[:6]))}" for s, x in self.rms.items())
+        notes = [self.verdict.summary(), f"rms error: {'; '.join(rms)}"]
+        return Display(title, rows, columns, notes)
 
     @property
     def rms(self) -> dict[str, np.ndarray]:

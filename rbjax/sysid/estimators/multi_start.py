@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from rbjax.arguments import integer, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
@@ -43,6 +44,7 @@ ONE_MOTION = 1e-2
 MEMORY = 2**28
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Basin:
     """A minimum that several guesses reach.
@@ -58,6 +60,7 @@ class Basin:
     guesses: tuple[int, ...]
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class ManyStarts:
     """The result of `many_starts`.

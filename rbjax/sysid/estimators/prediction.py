@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice, integer
+from rbjax.display import displayed
 from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.errors import InputError
@@ -49,6 +50,7 @@ OF_LIKELIHOOD = Tolerances(flat=1e-9, coarse=1e-9, optimal=1e-4, relative=False,
 TRIALS = 10.0 ** np.arange(-4, 2)
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Predicted(HasStatus):
     """The result of `prediction_error`.

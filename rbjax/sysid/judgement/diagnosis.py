@@ -21,6 +21,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.arguments import instance, integer
+from rbjax.display import displayed
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.data.recording_checks import FAR, hampel
@@ -82,6 +83,7 @@ class Hypothesis(NamedTuple):
     words: str
 
 
+@displayed
 @dataclass(frozen=True)
 class Diagnosis:
     """The mistakes in the recordings of a fit.
@@ -159,8 +161,7 @@ class _Trials:
         """Correct signs, column order and clocks as long as a correction halves the error."""
         causes: list[Cause] = []
         for _ in range(REPEATS):
-            best = self.best(runs, x, self.error(runs, x))
-            if best is None:
+            if (best := self.best(runs, x, self.error(runs, x))) is None:
                 break
             cause, correction, x = best
             causes.append(cause)
@@ -194,8 +195,7 @@ class _Trials:
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Correction, np.ndarray] | None:
         """Return the correction whose fit has the least error, or None if no error is halved."""
-        tried, fitted = [], []
-        at = (self.guess, x)
+        tried, fitted, at = [], [], (self.guess, x)
         uncorrected = [max(self.error(runs, y), 1e-300) for y in at]
         for one in self.hypotheses(runs, x):
             self.say(one.words)

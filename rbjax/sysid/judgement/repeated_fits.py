@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance, integer
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.sysid.data.recording import Recording
@@ -27,6 +28,7 @@ from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics.precision import in_double
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class MonteCarlo:
     """The result of `monte_carlo`.

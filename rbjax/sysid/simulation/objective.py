@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import real_number
+from rbjax.display import displayed
 from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -39,6 +40,7 @@ VECTOR = 64
 GPU_THREADS = 16_384
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Squares:
     """The objective c(x) = |r(x)|^2 of recordings.

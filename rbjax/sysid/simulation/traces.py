@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.model import Model
 from rbjax.sensors.columns import Columns, root_mean_square
 from rbjax.sysid.data.recording import JOINT_SENSORS, Recording
@@ -19,6 +20,7 @@ from rbjax.sysid.simulation.simulation_error import SimulationError
 FEW = 10
 
 
+@displayed
 class Trace(NamedTuple):
     """Recorded and simulated values of one sensor in one recording.
 

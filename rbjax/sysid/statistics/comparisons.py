@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from rbjax.arguments import instance, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.statistics.residual_tests import ALPHA, explained, whiteness
@@ -21,6 +22,7 @@ TESTED = 20  # least number of samples of a column for a test of whiteness
 ROUNDING = 1e-6  # smaller errors, relative to the standard deviation of the data, are not tested
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """The errors of a model on data that were not fitted.
@@ -187,6 +189,7 @@ class Scored(NamedTuple):
     parameters: int
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The comparison of two nested models on the same data.

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import linalg, special, stats
 
 from rbjax.arguments import choice, instance, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance as tolerance_of
 from rbjax.sysid.arguments import floats, names_of
@@ -36,6 +37,7 @@ class Interval(NamedTuple):
     high: float
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Estimates:
     """Estimates with their covariance.

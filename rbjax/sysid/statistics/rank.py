@@ -24,6 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.arguments import choice
+from rbjax.display import displayed
 from rbjax.errors import InputError, listed
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import floats, names_of
@@ -34,6 +35,7 @@ NOTHING = 500
 CLEAR = 1e-3
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Combinations:
     """The identifiable combinations of parameters.

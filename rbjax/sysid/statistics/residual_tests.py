@@ -16,12 +16,14 @@ import numpy as np
 from scipy import signal, special
 
 from rbjax.arguments import integer
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 
 ALPHA = 0.01  # significance level
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Whiteness:
     """The result of Ljung and Box's test of a residual.

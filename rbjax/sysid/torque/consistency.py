@@ -28,6 +28,7 @@ import scipy.optimize
 import scipy.stats
 
 from rbjax.arguments import integer
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -57,6 +58,7 @@ _scalar = jax.jit(scalar_residual)
 _scalar_slope = jax.jit(jax.vmap(jax.grad(scalar_residual)))
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Consistent(HasStatus):
     """The result of `consistent`.

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.arguments import integer, real_number
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
 from rbjax.sysid.status import FitStatus, HasStatus
@@ -32,6 +33,7 @@ DONE = 1e-9  # a smaller change of the zeros in rad or m ends the iteration
 LEAST = 3  # least number of steps; in the first step zero parameters hide the encoder zeros
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class WithZeros(HasStatus):
     """The result of `regress_with_zeros`.

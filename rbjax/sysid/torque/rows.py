@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice, instance
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.model import Model
@@ -43,6 +44,7 @@ PADDED = 1000  # samples are padded to a multiple, so that similar motions share
 BRIDGED = 0.25  # longest gap that a spline bridges, in periods of signal_cutoff
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class TorqueRows:
     """The equations W pi = tau of one recording.

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
 from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.torque_equations import ROUNDING, Regression
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Selected:
     """The result of `select`.

@@ -19,6 +19,7 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.arguments import instance
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
 from rbjax.sysid.statistics.rank import Combinations, combinations
@@ -45,6 +46,7 @@ class Fitted(NamedTuple):
     leverage: Array
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Equations:
     """Samples of the linear equations W pi = tau.
@@ -199,6 +201,7 @@ def _checked_noise(noise: Array, tau: Array, rank: int) -> Array:
     return noise
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Regression(HasStatus):
     """The result of a regression.

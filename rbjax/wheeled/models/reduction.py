@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import instance
 from rbjax.compiling import compiled
+from rbjax.display import displayed
 from rbjax.lanes.arrays import matvec
 from rbjax.model import State
 from rbjax.wheeled.kinematics.context import RobotContext
@@ -42,6 +43,7 @@ from rbjax.wheeled.models.robot_model import check_robot_model, check_state_and_
 from rbjax.wheeled.models.rolling import Rolling, identity
 
 
+@displayed
 class Reduced(NamedTuple):
     """Terms of the reduced equations of motion M nu' + C nu = B tau + f, with w = S nu.
 
@@ -62,6 +64,7 @@ class Reduced(NamedTuple):
     tau: jax.Array
 
 
+@displayed
 class Undetermined(NamedTuple):
     """Terms of the equations of motion M w' + C w = B tau + f + A^T l, with A w = 0.
 

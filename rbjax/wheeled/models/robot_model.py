@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import instance
 from rbjax.compiling import compiled
+from rbjax.display import Display, display_of, displayed, field_rows
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
@@ -45,6 +46,13 @@ class RobotModel(Record):
     def __check_init__(self) -> None:
         public = "a Robot, such as rbjax.wheeled.kinds()['differential_drive'].make()"
         instance(type(self).__name__, "robot", self.robot, Robot, public)
+
+    def _display_(self) -> Display:
+        own = display_of(self.robot)
+        sizes = f"nq {self.nq}, nv {self.nv}, nx {self.nx}, nu {self.nu}"
+        notes = [own.title, *(f"{n}: {x}" for n, x in field_rows(self) if n != "robot")]
+        title = f"{type(self).__name__}: fidelity {self.name!r}, {sizes}"
+        return Display(title, own.rows, own.columns, notes, own.picture)
 
     @property
     def nq(self) -> int:
@@ -227,6 +235,7 @@ def _rates(model: RobotModel, state: State, u: jax.Array) -> State:
     return as_state(*model.rates(model.context(state, u)), state.q.dtype)
 
 
+@displayed
 class Contacts(NamedTuple):
     """The contacts of n wheels with the ground.
 

@@ -17,6 +17,7 @@ import numpy as np
 from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.tracking import regulator_along
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import State
@@ -34,6 +35,7 @@ from rbjax.wheeled.motion.control_system import RobotSystem
 from rbjax.wheeled.robot.robot import Robot
 
 
+@displayed
 class Commands(NamedTuple):
     """Speeds of drives and angles of steerings. `controls` converts them to controls.
 

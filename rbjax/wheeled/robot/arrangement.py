@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance
 
@@ -42,6 +43,7 @@ class Leader:
     backward: bool = False
 
 
+@displayed
 @dataclass(frozen=True)
 class Arrangement:
     """The motions that the wheels of a robot allow.

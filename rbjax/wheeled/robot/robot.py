@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice, real_number
+from rbjax.display import Display, array_text, host, plural, value_text
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.wheeled.fields import check_ranges, number
@@ -285,6 +286,47 @@ class Robot(Record):
         if parts and known and "arrangement" not in changes:
             changes["arrangement"] = None
         return super().replace(**changes)
+
+    def _display_(self) -> Display:
+        mobility, steerability = (
+            getattr(self.arrangement, n, "?") for n in ("mobility", "steerability")
+        )
+        parts = [plural(len(self.wheels), "wheel"), plural(len(self.bodies), "body")]
+        parts += [plural(len(self.drives), "drive"), plural(len(self.steerings), "steering")]
+        title = f"Robot: {', '.join(parts)}; mobility {mobility}, steerability {steerability}"
+        drives = [(f"drive {k}", x.wheels) for k, x in enumerate(self.drives)]
+        drives += [(f"steering {k}", x.wheels) for k, x in enumerate(self.steerings)]
+        rows = []
+        for i, x in enumerate(self.wheels):
+            moved = [name for name, wheels in drives if i in wheels]
+            values = (
+                array_text(v, dtype=False) if hasattr(v, "dtype") else value_text(v)
+                for v in (x.position, x.heading, x.radius, x.mass)
+            )
+            rows.append((str(i), x.kind, str(x.body), *values, ", ".join(moved)))
+        columns = ("wheel", "kind", "body", "position", "heading", "radius", "mass", "moved by")
+        return Display(title, rows, columns, picture=self._picture)
+
+    def _picture(self) -> str:
+        """Draw the wheels of the chassis from above."""
+        from rbjax.svg import polygons
+
+        outlines = []
+        for x in self.wheels:
+            known = [host(v) for v in (x.position, x.heading, x.radius)]
+            if any(v is None or v.size > 2 for v in known):
+                return ""
+            if x.body != 0:
+                continue
+            at, heading, radius = (np.asarray(v, float) for v in known)
+            along = np.array([np.cos(heading), np.sin(heading)]) * radius
+            across = 0.3 * np.array([-along[1], along[0]])
+            corners = [along + across, along - across, -along - across, -along + across]
+            outlines.append(at + np.array(corners))
+        box = np.concatenate(outlines)
+        (x0, y0), (x1, y1) = box.min(0), box.max(0)
+        chassis = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        return polygons([chassis, *outlines], [False, *[True] * len(outlines)])
 
     @property
     def layout(self) -> Layout:

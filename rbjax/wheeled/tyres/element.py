@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.rows.geometry import Z, opposed
+from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
@@ -42,6 +43,7 @@ from rbjax.wheeled.tyres.relaxation import Relaxing
 from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
+@displayed
 class Contact(NamedTuple):
     """The contact of a tyre with the ground, in world axes.
 
