@@ -107,7 +107,7 @@ FORCE:
 
 docs: $(VENV)/.docs ## the documentation, into site/; fails on a dead link
 	$(BIN)/python -m docs.generate
-	$(BIN)/zensical build --strict --config-file .cache/mkdocs.yml
+	$(BIN)/python -m zensical build --clean --strict --config-file .cache/mkdocs.yml
 	@rm -rf site && cp -r .cache/site site
 
 $(VENV)/.docs: $(STAMP)

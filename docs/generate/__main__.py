@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 
-from docs.generate import tree
+from docs.generate import rooms, tree
 
 OUT = tree.ROOT / ".cache" / "docs"
 
@@ -21,9 +21,11 @@ def main() -> None:
         found = tree.generated(name, tree.ROOT)
         tree.write(found, OUT)
         print(f"{name}: {len(found)} files, {time.perf_counter() - start:.1f} s")
+    (OUT.parent / "links.json").write_text(json.dumps(rooms.links()))
+    (OUT.parent / "signatures.json").write_text(json.dumps(rooms.signatures()))
     nav = json.dumps(tree.navigation(OUT), ensure_ascii=False, indent=1)
     config = (tree.ROOT / "mkdocs.yml").read_text()
-    config = config.replace("paths: [.]", "paths: [..]")
+    config = config.replace("paths: [.]", "paths: [..]").replace("[docs/gen", "[../docs/gen")
     (OUT.parent / "mkdocs.yml").write_text(f"{config}\nnav: {nav}\n")
 
 
