@@ -46,13 +46,13 @@ print(lab.stability_function("radau_iia3"))
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.4))
 explicit = {"Euler": "euler", "Heun": "heun", "RK4": "rk4", "AB3": "adams_bashforth3"}
-lab.plot_regions(axes[0], explicit, points=201)
+lab.plot_regions(explicit, points=201, ax=axes[0])
 axes[0].set_title("explicit: stable inside")
 stiff = {"BDF2": "bdf2", "BDF3": "bdf3", "BDF5": "bdf5"}
-lab.plot_regions(axes[1], stiff, window=(-5, 20, -12, 12), points=201)
+lab.plot_regions(stiff, window=(-5, 20, -12, 12), points=201, ax=axes[1])
 axes[1].set_title("BDF: stable outside")
 damped = {f"rho = {r}": rb.solvers.generalized_alpha(r) for r in (0.0, 0.5, 0.9)}
-lab.plot_spectral_radius(axes[2], damped, np.geomspace(1e-2, 1e3, 60))
+lab.plot_spectral_radius(damped, np.geomspace(1e-2, 1e3, 60), ax=axes[2])
 axes[2].set_title("generalized-alpha")
 figure.tight_layout()
 

@@ -173,7 +173,7 @@ print("mean of the normal forces", round(held, 1), "N, weight", round(weight, 1)
 print("all converged", bool(feet.converged.all()))
 
 figure, axes = plt.subplots(1, 2, figsize=(12, 3.3), layout="constrained", width_ratios=[2, 1])
-strobe(axes[0], builder.spec, walker, np.asarray(walk.q[1, 40::72]), camera=Camera(-80, 10))
+strobe(walker, walk.q[1, 40::72], ax=axes[0], source=builder.spec, camera=Camera(-80, 10))
 axes[0].set(title="A trot of 4 s, stride 0.2 m")
 names = "front left", "front right", "hind left", "hind right"
 for k, name in enumerate(names):
@@ -218,8 +218,8 @@ for law in LAWS:
 last = grasp["mujoco"].state(-1)
 touches = rb.contact.solve(gripper, last, commands[-1]).contacts
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.3), layout="constrained")
-draw(gripper, gripper.default_state().q, axes[0], source=GRIPPER, camera=Camera(-70, 12))
-draw(gripper, last.q, axes[1], source=GRIPPER, camera=Camera(-70, 12), contacts=touches)
+draw(gripper, gripper.default_state(), ax=axes[0], source=GRIPPER, camera=Camera(-70, 12))
+draw(gripper, last, ax=axes[1], source=GRIPPER, camera=Camera(-70, 12), contacts=touches)
 axes[0].set(title="Before")
 axes[1].set(title="After, with contact forces")
 for law in LAWS:

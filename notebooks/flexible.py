@@ -124,8 +124,7 @@ speed = np.linalg.norm(np.gradient(tip, np.asarray(swing.ts), axis=0), axis=1)
 print("largest speed of the tip", speed.max().round(2), "m/s")
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained", width_ratios=[2, 1])
-strobe(axes[0], None, cable, np.asarray(swing.q[:76:5]), camera=Camera(-90, 5), trace="b",
-       shadow=False)  # fmt: skip
+strobe(cable, swing.q[:76:5], ax=axes[0], camera=Camera(-90, 5), trace="b", shadow=False)
 axes[0].set(title="Released from the left end, 0.75 s")
 axes[1].plot(swing.ts, speed)
 axes[1].set(xlabel="t, s", ylabel="m/s", title="Speed of the tip")
@@ -233,7 +232,7 @@ print(f"angle of the tip {turn:.4f} rad, integral of M / EI {exact:.4f} rad")
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
 for ax, k in zip(axes, (0, 20, 60), strict=True):
-    rb.plotting.draw(hand, close.q[k], ax, source=PALM, camera=Camera(-75, 12))
+    rb.plotting.draw(hand, close.q[k], ax=ax, source=PALM, camera=Camera(-75, 12))
     ax.set(title=f"M = {1e3 * MOMENT * min(k / 40, 1):.1f} N mm")
     ax.set(xlim=axes[0].get_xlim(), ylim=axes[0].get_ylim())
 plt.show()
@@ -281,9 +280,7 @@ print("failed checks of the fit:", found.verdict.failed or "none")
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained", width_ratios=[1, 2])
-strobe(
-    axes[0], None, strip(**TRUE), np.asarray(truth.q[:15:2]), camera=Camera(-90, 0), shadow=False
-)
+strobe(strip(**TRUE), truth.q[:15:2], ax=axes[0], camera=Camera(-90, 0), shadow=False)
 axes[0].set(title="Released")
 fits = {"first guess": (strip(0.72, 0.0005), ORANGE), "identified": (found.model, BLUE)}
 axes[1].plot(clock, seen[:, 2], ".", ms=3, color=INK, label="seen")

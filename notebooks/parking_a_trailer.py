@@ -152,7 +152,7 @@ for ax, (name, strength) in zip(axes, {"open loop": 0.0, "regulated": 1.0}.items
         integrator="linearly_implicit_euler",
     )  # fmt: skip
     ax.plot(*reference.q[:, :2].T, "--", color="gray", lw=1)
-    top_view(ax, slipping, found, robots=7, grid=grid)
+    top_view(slipping, found, ax=ax, robots=7, grid=grid)
     ax.set_title(name)
     end = np.asarray(found.q[-1])
     print(

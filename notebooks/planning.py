@@ -144,5 +144,5 @@ for ax, (name, motion) in zip(
     torques, dt = motion.sampled(2000)
     start = wheeled.start(cart, pose=[1.0, 0.8, 0.5])
     driven = wheeled.rollout(cart, start, torques, dt, save_every=20)
-    top_view(ax, cart, driven, robots=8, grid=room)
+    top_view(cart, driven, ax=ax, robots=8, grid=room)
     ax.set_title(f"{name}, {float(driven.ts[-1]):.1f} s")

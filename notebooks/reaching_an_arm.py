@@ -76,7 +76,7 @@ print(f"off by {1e3 * jnp.linalg.norm(off[:3]):.2f} mm, {jnp.linalg.norm(off[3:]
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), gridspec_kw={"width_ratios": [1.2, 1, 1]})
-strobe(axes[0], "arm7", arm, reach.states.q[::10], camera=Camera(-30, 20))
+strobe(arm, reach.states.q[::10], ax=axes[0], source="arm7", camera=Camera(-30, 20))
 axes[0].axis("off")
 axes[1].step(reach.ts[:-1], reach.ctrl / limit, where="post")
 axes[1].set(xlabel="time [s]", ylabel="torque / limit", ylim=(-1.1, 1.1))

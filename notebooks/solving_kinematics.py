@@ -70,7 +70,7 @@ print(len(own), "from their own start")
 
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.6))
 for axis, camera in zip(axes[:2], (Camera(-60, 15), Camera(0, 15)), strict=True):
-    strobe(axis, "arm7", arm, own[:6], camera=camera, shadow=False)
+    strobe(arm, own[:6], ax=axis, source="arm7", camera=camera, shadow=False)
     axis.axis("off")
 axes[0].set_title("six of the postures")
 axes[1].set_title("the same from the front")

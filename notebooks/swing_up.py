@@ -106,7 +106,7 @@ held = rb.rollout(cart, hang, policy, 0.05, steps=120)
 blind = rb.rollout(cart, hang, jnp.concatenate([swing.ctrl, jnp.zeros((60, 1))]), 0.05)
 
 figure, axes = plt.subplots(2, 1, figsize=(10, 6), height_ratios=[1.5, 1])
-strobe(axes[0], "cart_pole", cart, held.q[:61:3], camera=Camera(-90, 5), shadow=False)
+strobe(cart, held.q[:61:3], ax=axes[0], source="cart_pole", camera=Camera(-90, 5), shadow=False)
 axes[0].axis("off")
 for name, run in {"feedback, then LQR": held, "open loop": blind}.items():
     axes[1].plot(run.ts, np.rad2deg(run.q[:, 1]), label=name)
@@ -157,7 +157,7 @@ torque = jax.vmap(policy)(stands.ts[:-1], rb.State(stands.q[:-1], stands.v[:-1])
 figure, axes = plt.subplots(1, 5, figsize=(12, 3))
 for k, axis in enumerate(axes):  # a second each
     moments = np.arange(40 * k, 40 * k + 41, 8)
-    strobe(axis, ACROBOT, acrobot, stands.q[moments], camera=Camera(-90, 0), shadow=False)
+    strobe(acrobot, stands.q[moments], ax=axis, source=ACROBOT, camera=Camera(-90, 0), shadow=False)
     axis.set(title=f"{k} to {k + 1} s", xlim=(-2.1, 2.1), ylim=(0.0, 4.4))
     axis.axis("off")
 figure.tight_layout()

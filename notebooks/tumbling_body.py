@@ -382,7 +382,7 @@ camera, spacing = Camera(azimuth=-90, elevation=14), 0.58  # metres of picture a
 for k, i in enumerate(range(7, 300, 15)):
     place = camera.axes[0] * spacing * ts[i]
     R, style = T[i, :3, :3][None], {"camera": camera, "shadow": False, "zorder": 2 + k}
-    draw_solids(above, shape, R, place[None], **style)
+    draw_solids(shape, R, place[None], ax=above, **style)
 above.set(xlim=(0, spacing * ts[-1]), ylim=(-0.11, 0.11), aspect="equal")
 above.axis("off")
 for k, name, colour in ((middle, "stem (intermediate)", BLUE), (least, "grip (least)", ORANGE),

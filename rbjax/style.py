@@ -1,10 +1,11 @@
-"""The colors of rbjax, and its matplotlib style: `with plt.rc_context(STYLE): ...`."""
+"""The colors of rbjax, its matplotlib style (`with plt.rc_context(STYLE): ...`), and its axes."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
+from rbjax.errors import InputError
 from rbjax.optional import require
 
 INK, PAPER, GRID = "#22303c", "#ffffff", "#d9dee3"
@@ -42,3 +43,28 @@ def rgb(color: Any) -> tuple[float, float, float]:
         return color
     red, green, blue = require(f"the colour {color!r}", "matplotlib.colors").to_rgb(color)
     return red, green, blue
+
+
+def axes_of(
+    where: str, ax: Any, count: int | None = None, size: tuple[float, float] = (6, 5)
+) -> Any:
+    """Return the axis of the caller, or `count` axes, one above the other. None makes a figure in
+    the style of rbjax.
+
+    Raises:
+        InputError: not an axis of matplotlib, or fewer than `count` of them.
+    """
+    if ax is None:
+        plt = require(where, "matplotlib.pyplot")
+        with plt.rc_context(STYLE):
+            return plt.subplots(count or 1, sharex=True, figsize=size, layout="constrained")[1]
+    several = [ax] if count is None else ax
+    if count is not None and (not hasattr(ax, "__len__") or len(ax) < count):
+        raise InputError(f"{where}: ax is {type(ax).__name__}, expected {count} axes")
+    for one in several:
+        if not hasattr(one, "add_collection"):
+            raise InputError(
+                f"{where}: ax is {type(one).__name__}, expected an axis of matplotlib, such as "
+                "matplotlib.pyplot.gca()"
+            )
+    return ax

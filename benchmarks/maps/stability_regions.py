@@ -39,16 +39,16 @@ SECOND_ORDER = {
 def main() -> None:
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(2, 2, figsize=(11, 9.6), layout="constrained")
-        plot_regions(axes[0, 0], EXPLICIT, (-5.5, 1.5, -4.2, 4.2))
+        plot_regions(EXPLICIT, (-5.5, 1.5, -4.2, 4.2), ax=axes[0, 0])
         axes[0, 0].set_title("Explicit Runge-Kutta: stable inside")
         adams = {f"order {k}": f"adams_bashforth{k}" for k in range(1, 6)}
-        plot_regions(axes[0, 1], adams, (-2.3, 0.5, -1.5, 1.5))
+        plot_regions(adams, (-2.3, 0.5, -1.5, 1.5), ax=axes[0, 1])
         axes[0, 1].set_title("Adams-Bashforth: stable inside")
         bdf = {f"order {k}": f"bdf{k}" for k in range(1, 7)}
-        plot_regions(axes[1, 0], bdf, (-8.0, 30.0, -19.0, 19.0))
+        plot_regions(bdf, (-8.0, 30.0, -19.0, 19.0), ax=axes[1, 0])
         axes[1, 0].legend(ncols=2, loc="upper right")
         axes[1, 0].set_title("BDF: stable outside")
-        plot_spectral_radius(axes[1, 1], SECOND_ORDER, np.logspace(-1.5, 3, 300))
+        plot_spectral_radius(SECOND_ORDER, np.logspace(-1.5, 3, 300), ax=axes[1, 1])
         axes[1, 1].set_title("Second order: measured on the solvers' own steps")
         figure.savefig(PICTURE)
     print(PICTURE)

@@ -179,12 +179,11 @@ def _plot(
         grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.3))
         ax = figure.add_subplot(grid[:, 0])
         moments = np.linspace(0, len(arrays["ts"]) - 1, 7).astype(int)
-        strobe(ax, file, model, arrays["q"][moments], floating_base=floating_base)
+        strobe(model, arrays["q"][moments], ax=ax, source=file, floating_base=floating_base)
         ax.set_title(Path(file).stem)
         axes = [figure.add_subplot(grid[i, 1]) for i in range(2)]
         names = model.joint_names if model.nq == len(model.joint_names) else ()
-        time_plot(axes, arrays["ts"], arrays["q"], arrays["v"], names)
-        if 0 < len(names) <= 8:
-            axes[0].legend(loc="upper right", ncols=2)
+        few = names if len(names) <= 8 else ()
+        time_plot(arrays["ts"], arrays["q"], arrays["v"], names=few, ax=axes)
         figure.savefig(path)
         plt.close(figure)

@@ -79,9 +79,9 @@ def landing(
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
         shown = np.linspace(0, len(path.ts) - 1, 5).astype(int)
-        strobe(axes[0], scene, model, np.asarray(path.q[0])[shown], camera=camera)
+        strobe(model, path.q[0][shown], ax=axes[0], source=scene, camera=camera)
         axes[0].set_title("it falls and lands")
-        draw(model, np.asarray(path.q[0, -1]), axes[1], source=scene, camera=camera, contacts=last)
+        draw(model, path.q[0, -1], ax=axes[1], source=scene, camera=camera, contacts=last)
         axes[1].set_title("contact forces at the end")
         axes[2].plot(path.ts, np.asarray(up) / weight, color=BLUE)
         axes[2].axhline(1.0, color=INK, lw=0.8, ls=":")

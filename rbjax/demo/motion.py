@@ -144,7 +144,7 @@ def gallery(
             moments = np.linspace(0, steps, show.drawn).astype(int)
             q = np.asarray(path.q[0])[moments]
             strobe(
-                ax, show.scene or scene, model, q, camera=show.camera, trace=show.trace,
+                model, q, ax=ax, source=show.scene or scene, camera=show.camera, trace=show.trace,
                 shadow=model.nv > 2, ground=show.touch is not None, contacts=flight.contacts(path),
             )  # fmt: skip
             title = f"{show.scene}: {scene}" if show.scene else scene

@@ -5,15 +5,19 @@ HTML page, and `animate_policy` does so for a policy in its environment. All dra
 parameters (rods and ellipsoids of inertia) or from its file (geoms), with beams as swept tubes and
 modal bodies as lines between their frames. `top_view` and `animate_top_view` show wheeled robots
 from above.
+
+All functions take the data first, and `ax=` by keyword: the axis to draw on, None for a new figure.
+Where they take coordinates q they also take states.
 """
 
 from rbjax.plotting.animation import animate
 from rbjax.plotting.charts import time_plot
-from rbjax.plotting.drawing import bare, draw, draw_solids, strobe
+from rbjax.plotting.drawing import draw, draw_solids
 from rbjax.plotting.film import Camera, poses
 from rbjax.plotting.policies import Episodes, animate_policy, record_policy
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
+from rbjax.plotting.stroboscope import bare, strobe
 from rbjax.plotting.top_views import animate_top_view, top_view
 from rbjax.style import (
     BLUE,

@@ -10,26 +10,23 @@ import numpy as np
 from rbjax.arguments import real_array, real_number
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
-from rbjax.model import Model
+from rbjax.model import Model, State
+from rbjax.motion.trajectory import Trajectory
 
 
-def check_axis(where: str, ax: Any, name: str = "ax") -> None:
-    """Raise `InputError` unless the argument is a matplotlib axis."""
-    if not hasattr(ax, "add_collection"):
-        raise InputError(
-            f"{where}: {name} is {type(ax).__name__}, expected an axis of matplotlib, such as "
-            "matplotlib.pyplot.gca()"
-        )
+def coordinates(q: Any) -> Any:
+    """Return the coordinates q of a `State` or a `Trajectory`; another argument unchanged."""
+    return q.q if isinstance(q, State | Trajectory) else q
 
 
 def configurations(where: str, model: Model, q: Any) -> np.ndarray:
-    """Convert configurations (T, nq) of one robot to an array.
+    """Convert configurations (T, nq) of one robot, or states with them, to an array.
 
     Raises:
         InputError: not a model, or q has another shape or is not finite.
     """
     check_model(where, model)
-    x = real_array(where, "q", q)
+    x = real_array(where, "q", coordinates(q))
     if x.ndim != 2 or x.shape[1] != model.nq:
         raise InputError(f"{where}: q has shape {x.shape}, expected (T, {model.nq})")
     return x

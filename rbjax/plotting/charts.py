@@ -3,46 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from rbjax.arguments import real_array
 from rbjax.errors import InputError
-from rbjax.plotting.arguments import check_axis
+from rbjax.model import State
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting.arguments import coordinates
+from rbjax.style import axes_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
-
-def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:
+def time_plot(ts: Any, q: Any, v: Any = None, *, names: Sequence[str] = (), ax: Any = None) -> Any:
     """Draw configuration and velocity coordinates over time, on two axes.
 
     Args:
-        axes: two axes, for q and for v.
         ts: (T,), s.
-        q: (T, nq), in m, rad, or quaternion components.
-        v: (T, nv), in m/s, rad/s.
+        q: (T, nq), in m, rad, or quaternion components; or states, such as a `Trajectory`.
+        v: (T, nv), in m/s, rad/s; None for those of the states q.
         names: names of the first coordinates, for a legend.
+        ax: two axes, for q and for v; None makes a figure.
+
+    Returns:
+        The two axes.
+
+    Raises:
+        InputError: q or v without a row for each time; not two axes.
 
     Example:
         >>> import matplotlib.figure, numpy as np
         >>> from rbjax.plotting import time_plot
         >>> axes = matplotlib.figure.Figure().subplots(2)
-        >>> time_plot(axes, np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 2)), ["hip", "knee"])
-        >>> len(axes[0].lines)
+        >>> q, v = np.zeros((3, 2)), np.zeros((3, 2))
+        >>> len(time_plot(np.arange(3.0), q, v, names=["hip", "knee"], ax=axes)[0].lines)
         2
     """
-    several = isinstance(axes, (list, tuple, np.ndarray))
-    if not several or len(axes) < 2:
-        raise InputError(f"time_plot: axes is {type(axes).__name__}, expected two axes")
-    for ax in axes[:2]:
-        check_axis("time_plot", ax, "axes")
+    axes = axes_of("time_plot", ax, 2)
     ts = real_array("time_plot", "ts", ts, ndim=1)
     if isinstance(names, str) or not isinstance(names, Sequence):
         raise InputError(f"time_plot: names is {names!r}, expected a sequence of names")
-    for ax, name, given, label in (
-        (axes[0], "q", q, "q  [m, rad, -]"), (axes[1], "v", v, "v  [m/s, rad/s]")
+    if v is None and isinstance(q, State | Trajectory):
+        v = q.v
+    for one, name, given, label in (
+        (axes[0], "q", coordinates(q), "q  [m, rad, -]"), (axes[1], "v", v, "v  [m/s, rad/s]")
     ):  # fmt: skip
         x = real_array("time_plot", name, given, finite=False)  # gaps are nan
         if x.ndim != 2 or len(x) != len(ts):
@@ -50,6 +52,9 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
                 f"time_plot: {name} has shape {x.shape}, expected ({len(ts)}, n), a row for each "
                 "of ts"
             )
-        for i in range(np.shape(x)[-1]):
-            ax.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)
-        ax.set(xlabel="time [s]", ylabel=label)
+        for i in range(x.shape[-1]):
+            one.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)
+        one.set(xlabel="time [s]", ylabel=label)
+    if names:
+        axes[0].legend(ncols=2)
+    return axes

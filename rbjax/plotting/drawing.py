@@ -19,21 +19,19 @@ from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.optional import require
-from rbjax.plotting.arguments import check_axis, check_solids, configurations
+from rbjax.plotting.arguments import check_solids, coordinates
 from rbjax.plotting.contact_arrows import strokes, with_arrows
-from rbjax.plotting.film import Camera, Film, film, poses
+from rbjax.plotting.film import Camera, Film, film
 from rbjax.plotting.flexible_links import tubes
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.style import BLUE, GRID, ORANGE, RED, rgb
+from rbjax.style import BLUE, GRID, RED, axes_of, rgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = np.ndarray
-_GROUND = "#f4f6f8"
-#: margin of the ground of `strobe`, relative to the height of the robot
-_AROUND = 0.6
+GROUND = "#f4f6f8"
 #: the opacity of the samples after the first
 FADED = 0.22
 
@@ -117,39 +115,45 @@ def _hull(points: Array) -> Array | None:
 
 
 def draw_solids(
-    ax: Axes,
     shapes: Sequence[Solid],
     R: Array,
     p: Array,
     *,
+    ax: Axes | None = None,
     camera: Camera | None = None,
     alpha: float = 1.0,
     shadow: bool = True,
     world: bool = True,
     zorder: float = 2.0,
-) -> None:
+) -> Axes:
     """Draw solids at one pose, as patches of an axis.
 
     Args:
-        ax: the axis.
         shapes: a list from `solids` or `skeleton`.
         R: (n, 3, 3), body to world axes, as from `poses`.
         p: (n, 3), the bodies' origins in the world's frame, m.
+        ax: the axis to draw on; None makes a figure.
         camera: the line of sight.
         alpha: opacity.
         shadow: whether they cast a shadow on z = 0.
         world: whether to draw the solids that are fixed to the world.
         zorder: matplotlib's zorder of the farthest solid.
 
+    Returns:
+        The axis.
+
+    Raises:
+        InputError: R and p do not fit the solids, or an opacity outside of 0 to 1.
+
     Example:
         >>> import matplotlib.figure, numpy as np
         >>> from rbjax.plotting import draw_solids, solids
         >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> draw_solids(ax, solids("pendulum"), np.eye(3)[None], np.zeros((1, 3)), shadow=False)
-        >>> len(ax.patches)
+        >>> R, p = np.eye(3)[None], np.zeros((1, 3))
+        >>> len(draw_solids(solids("pendulum"), R, p, ax=ax, shadow=False).patches)
         3
     """
-    check_axis("draw_solids", ax)
+    ax = axes_of("draw_solids", ax)
     R, p = check_solids("draw_solids", shapes, R, p, alpha)
     camera, Polygon = camera or Camera(), require("draw", "matplotlib.patches").Polygon
     if shadow:
@@ -158,6 +162,7 @@ def draw_solids(
     for depth, one in enumerate(outlines(shapes, R, p, camera, alpha=alpha, world=world)):
         style: Any = {"facecolor": one.face, "edgecolor": one.edge, "zorder": zorder + 1e-3 * depth}
         ax.add_patch(Polygon(one.points, lw=0.7, joinstyle="round", **style))
+    return ax
 
 
 class Stage:
@@ -167,7 +172,7 @@ class Stage:
         self.ax, self.film = ax, film
         artists = require("draw", "matplotlib.collections")
         PolyCollection, LineCollection = artists.PolyCollection, artists.LineCollection
-        self.disc = PolyCollection([], facecolors=_GROUND, linewidths=0, zorder=0)
+        self.disc = PolyCollection([], facecolors=GROUND, linewidths=0, zorder=0)
         self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
         # opaque, so that overlapping shadows do not become darker
         self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
@@ -259,8 +264,8 @@ def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[So
 def draw(
     model: Model,
     q: Any,
-    ax: Axes | None = None,
     *,
+    ax: Axes | None = None,
     source: Any = None,
     camera: Camera | None = None,
     contacts: ContactForces | None = None,
@@ -269,7 +274,7 @@ def draw(
 
     Args:
         model: one robot.
-        q: (nq,) configuration.
+        q: (nq,) configuration, or a `State`.
         ax: the axis to draw on; None makes a figure.
         source: the argument of `rbjax.load`, to draw the file's geoms. None draws rods from joint
             to joint and ellipsoids of inertia.
@@ -288,13 +293,11 @@ def draw(
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
         >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> rb.plotting.draw(model, [0.3, 0.5], ax).get_aspect()
+        >>> rb.plotting.draw(model, [0.3, 0.5], ax=ax).get_aspect()
         1.0
     """
     check_model("draw", model)
-    if ax is not None:
-        check_axis("draw", ax)
-    q = real_array("draw", "q", q, finite=False).astype(model.joints.reference.dtype)
+    q = real_array("draw", "q", coordinates(q), finite=False).astype(model.joints.reference.dtype)
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
     if ax is None:
@@ -302,98 +305,6 @@ def draw(
         ax = plt.subplots(figsize=(6, 5), layout="constrained")[1]
     shapes = shapes_of(model, source)
     shown = film(model, np.zeros(1), q[None, None], shapes, camera=camera)
+    ax = axes_of("draw", ax)
     Stage(ax, with_arrows("draw", shown, model, contacts)).show(0)
     return ax
-
-
-def bare(ax: Axes, margin: float = 0.05) -> None:
-    """Fit an axis to its polygons and lines, with equal scales, and hide frame and ticks.
-
-    Args:
-        ax: the axis.
-        margin: on each side, as a fraction of the larger extent.
-
-    Example:
-        >>> import matplotlib.figure
-        >>> from rbjax.plotting import bare
-        >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> _ = ax.fill([0, 1, 1], [0, 0, 1])
-        >>> bare(ax)
-        >>> ax.get_xlim()
-        (np.float64(-0.05), np.float64(1.05))
-    """
-    Polygon = require("bare", "matplotlib.patches").Polygon
-    points = np.concatenate([patch.get_xy() for patch in ax.patches if isinstance(patch, Polygon)])
-    points = np.concatenate([points, *(line.get_xydata() for line in ax.lines)])
-    low, high = points.min(0), points.max(0)
-    pad = margin * (high - low).max()
-    ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), aspect="equal")
-    ax.axis("off")
-
-
-def strobe(
-    ax: Axes,
-    source: Any,
-    model: Model,
-    q: np.ndarray,
-    *,
-    camera: Camera | None = None,
-    trace: str | None = None,
-    color: str = ORANGE,
-    shadow: bool = True,
-    floating_base: bool = False,
-    ground: bool = False,
-    contacts: ContactForces | None = None,
-) -> None:
-    """Draw poses along a motion in one picture, with increasing opacity.
-
-    Args:
-        ax: the axis.
-        source: an argument of `rbjax.load`, for the shapes; None draws rods and ellipsoids.
-        model: the robot.
-        q: (T, nq), the configurations to draw.
-        camera: the line of sight.
-        trace: a body whose origin leaves a line.
-        color: the colour of that line.
-        shadow: whether the last pose casts a shadow on the floor.
-        floating_base: as in `rbjax.load`, for a source that is a URDF.
-        ground: whether to draw the plane z = 0 under the poses.
-        contacts: contact forces of the last pose to draw as arrows, as in `draw`.
-
-    Raises:
-        InputError: q has another shape or is not finite.
-
-    Example:
-        >>> import matplotlib.figure, numpy as np
-        >>> import rbjax as rb
-        >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> path = np.linspace(0.0, 1.0, 5)[:, None]
-        >>> rb.plotting.strobe(ax, "pendulum", rb.load("pendulum"), path, shadow=False)
-        >>> len(ax.patches)
-        11
-    """
-    check_axis("strobe", ax)
-    q = configurations("strobe", model, q)
-    shapes = shapes_of(model, source, floating_base)
-    R, p = poses(model, q)
-    for i in range(len(q)):
-        last = i == len(q) - 1
-        alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2
-        draw_solids(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=shadow and last,
-                    world=last, zorder=2 + i)  # fmt: skip
-    axes = (camera or Camera()).axes[:2]
-    if trace is not None:
-        path = p[:, model.body(trace)] @ axes.T
-        ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))
-    if ground:
-        low, high = p[..., :2].min((0, 1)), p[..., :2].max((0, 1))
-        x, y = np.array([low, high]).T + _AROUND * np.ptp(p[-1, :, 2]) * np.array([-1, 1])
-        corners = [[x[0], y[0], 0], [x[1], y[0], 0], [x[1], y[1], 0], [x[0], y[1], 0]]
-        ax.fill(*(np.array(corners) @ axes.T).T, color=_GROUND, lw=0, zorder=0)
-    if contacts is not None:
-        shown = film(model, np.zeros(1), q[None, -1:], shapes, camera=camera)
-        shown = with_arrows("strobe", shown, model, contacts)
-        assert shown.arrows is not None
-        for line in strokes(shown.arrows[0], axes, 0.04 * shown.size.max()):
-            ax.plot(*line.T, color=RED, lw=1.8, zorder=3 + len(q))
-    bare(ax)

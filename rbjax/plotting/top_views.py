@@ -15,7 +15,6 @@ from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.optional import require
 from rbjax.plotting import movie_files
-from rbjax.plotting.arguments import check_axis
 from rbjax.plotting.from_above import (
     FORCES,
     SLIDING,
@@ -28,7 +27,7 @@ from rbjax.plotting.from_above import (
     wheel_forces,
 )
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
-from rbjax.style import GRID, INK, ORANGE
+from rbjax.style import GRID, INK, ORANGE, axes_of
 from rbjax.wheeled.models.robot_model import RobotModel
 
 if TYPE_CHECKING:
@@ -36,24 +35,27 @@ if TYPE_CHECKING:
 
 
 def top_view(
-    ax: Axes,
     model: RobotModel,
-    path: Trajectory,
+    trajectory: Trajectory,
     *,
+    ax: Axes | None = None,
     robots: int = 5,
     ctrl: Any = None,
     grid: Any = None,
-) -> None:
+) -> Axes:
     """Draw a motion from above: the path of the chassis' origin, and the robot at some times.
 
     Args:
-        ax: an axis.
         model: `rbjax.wheeled.at(robot, fidelity)`.
-        path: the trajectory of one robot, from `rbjax.wheeled.rollout`.
+        trajectory: of one robot, from `rbjax.wheeled.rollout`; lengths in m.
+        ax: the axis to draw on; None makes a figure.
         robots: the number of times at which the robot is drawn, evenly along the saved states.
         ctrl: (nu,), (T, nu) or a function (t, state) -> (nu,), to draw also the forces on
             wheels, at a fidelity that has them. The longest arrow is as long as the robot.
         grid: a map, an `rbjax.planning.OccupancyGrid`.
+
+    Returns:
+        The axis.
 
     Raises:
         InputError: a batch of motions; controls of another shape.
@@ -64,11 +66,12 @@ def top_view(
         >>> from rbjax.plotting import top_view
         >>> car = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
         >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((8, 2), 0.2), 0.1)
-        >>> top_view(matplotlib.figure.Figure().subplots(), car, path)
+        >>> top_view(car, path, ax=matplotlib.figure.Figure().subplots()).get_xlabel()
+        'x [m]'
     """
-    check_axis("top_view", ax)
     robots = min(integer("top_view", "robots", robots, least=0), 10_000)
-    _check("top_view", path, ctrl, model)
+    _check("top_view", trajectory, ctrl, model)
+    ax, path = axes_of("top_view", ax), trajectory
     q = np.asarray(path.q)
     _ground(ax, grid)
     ax.plot(q[:, 0], q[:, 1], color=ORANGE, lw=1.2, zorder=1)
@@ -88,12 +91,13 @@ def top_view(
     ax.autoscale_view()
     ax.set_aspect("equal")
     ax.set(xlabel="x [m]", ylabel="y [m]")
+    return ax
 
 
 def animate_top_view(
     model: RobotModel,
-    path: Trajectory,
-    file: str | Path,
+    trajectory: Trajectory,
+    path: str | Path,
     *,
     ctrl: Any = None,
     grid: Any = None,
@@ -112,8 +116,8 @@ def animate_top_view(
 
     Args:
         model: `rbjax.wheeled.at(robot, fidelity)`.
-        path: the trajectory of one robot, from `rbjax.wheeled.rollout`.
-        file: a path with the suffix .gif, or .mp4, which requires ffmpeg.
+        trajectory: of one robot, from `rbjax.wheeled.rollout`; lengths in m, times in s.
+        path: the file to write, .gif, or .mp4, which requires ffmpeg.
         ctrl: (nu,), (T, nu) or a function (t, state) -> (nu,), at a fidelity with forces on
             wheels: "slipping" or "constrained".
         grid: a map, an `rbjax.planning.OccupancyGrid`.
@@ -140,11 +144,11 @@ def animate_top_view(
         >>> plotting.animate_top_view(car, path, file, size=(200, 150)).name
         'car.gif'
     """
-    file = Path(file)
+    file = Path(path)
     movie_files.check("animate_top_view", file, (".gif", ".mp4"))
-    _check("animate_top_view", path, ctrl, model)
+    _check("animate_top_view", trajectory, ctrl, model)
     check_positive("animate_top_view", fps=fps, speed=speed)
-    film = _Film(model, path, ctrl, fps, speed)
+    film = _Film(model, trajectory, ctrl, fps, speed)
     pictures = film.pictures(grid, footprint, title, speed, size)
     movie_files.write(file, pictures, len(film.ts), fps, progress)
     return file
@@ -260,9 +264,11 @@ def _check(where: str, path: Trajectory, ctrl: Any, model: RobotModel) -> None:
     if not isinstance(model, RobotModel):
         raise InputError(f"{where}: model is {type(model).__name__}, expected wheeled.at(...)")
     if not isinstance(path, Trajectory):
-        raise InputError(f"{where}: path is {type(path).__name__}, expected a Trajectory")
+        raise InputError(f"{where}: trajectory is {type(path).__name__}, expected a Trajectory")
     if path.q.ndim != 2:
-        raise InputError(f"{where}: path.q has shape {path.q.shape}, expected (T, nq): one motion")
+        raise InputError(
+            f"{where}: trajectory.q has shape {path.q.shape}, expected (T, nq): one motion"
+        )
     due = [(model.nu,), (len(path.q), model.nu)]
     if ctrl is not None and not callable(ctrl) and np.shape(ctrl) not in due:
         raise InputError(

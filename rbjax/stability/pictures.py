@@ -1,7 +1,4 @@
-"""Plots of the linear theory, on matplotlib axes of the caller.
-
-Use `with plt.rc_context(rbjax.plotting.STYLE): ...` for the style of rbjax.
-"""
+"""Plots of the linear theory, on an axis of the caller or in a new figure."""
 
 from __future__ import annotations
 
@@ -14,6 +11,7 @@ from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Method, characteristic
 from rbjax.stability.theory.oscillator import spectral_radius
 from rbjax.stability.theory.regions import stability_region
+from rbjax.style import axes_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,18 +20,22 @@ Window = tuple[float, float, float, float]
 
 
 def plot_regions(
-    ax: Axes,
     methods: Mapping[str, Method],
     window: Window = (-5.0, 1.0, -4.0, 4.0),
+    *,
     points: int = 401,
-) -> None:
+    ax: Axes | None = None,
+) -> Axes:
     """Plot regions of absolute stability in the plane of z = h lambda, as filled outlines.
 
     Args:
-        ax: matplotlib axes, whose colour cycle is used.
         methods: label -> solver, name, tableau or polynomial, as for `characteristic`.
         window: (left, right, bottom, top) in the plane of z.
         points: number of grid points in each direction.
+        ax: the axis to draw on, whose colour cycle is used; None makes a figure.
+
+    Returns:
+        The axis.
 
     Raises:
         InputError: a solver without linear theory, or a window without width.
@@ -41,13 +43,14 @@ def plot_regions(
     Example:
         >>> import rbjax as rb, matplotlib.figure
         >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> rb.stability.plot_regions(ax, {"RK4": "rk4"}, points=21)
+        >>> ax = rb.stability.plot_regions({"RK4": "rk4"}, points=21, ax=ax)
         >>> ax.get_legend().get_texts()[0].get_text()
         'RK4'
     """
     left, right, bottom, top = window
     if not (left < right and bottom < top):
         raise InputError(f"plot_regions: window is {window}, expected (left, right, bottom, top)")
+    ax = axes_of("plot_regions", ax)
     x, y = np.linspace(left, right, points), np.linspace(bottom, top, points)
     ax.axhline(0, color="0.6", lw=0.8, zorder=1)
     ax.axvline(0, color="0.6", lw=0.8, zorder=1)
@@ -60,15 +63,21 @@ def plot_regions(
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal",
            xlabel=r"Re $h\lambda$", ylabel=r"Im $h\lambda$")  # fmt: skip
     ax.legend()
+    return ax
 
 
-def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.ndarray) -> None:
+def plot_spectral_radius(
+    methods: Mapping[str, Method], h_omega: np.ndarray, *, ax: Axes | None = None
+) -> Axes:
     """Plot spectral radii over h omega, measured on one step of each solver's code.
 
     Args:
-        ax: matplotlib axes.
         methods: label -> solver, as for `spectral_radius`.
-        h_omega: (n,) positive, increasing.
+        h_omega: (n,) step times frequency, rad; positive, increasing.
+        ax: the axis to draw on; None makes a figure.
+
+    Returns:
+        The axis.
 
     Raises:
         InputError: a solver that `spectral_radius` rejects.
@@ -76,11 +85,14 @@ def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.nd
     Example:
         >>> import rbjax as rb, numpy as np, matplotlib.figure
         >>> ax = matplotlib.figure.Figure().add_subplot()
-        >>> rb.stability.plot_spectral_radius(ax, {"Verlet": "stoermer_verlet"}, np.array([1.0]))
+        >>> methods = {"Verlet": "stoermer_verlet"}
+        >>> ax = rb.stability.plot_spectral_radius(methods, np.array([1.0]), ax=ax)
         >>> float(ax.lines[0].get_ydata()[0].round(6))
         1.0
     """
+    ax = axes_of("plot_spectral_radius", ax)
     for label, solver in methods.items():
         ax.semilogx(h_omega, spectral_radius(solver, h_omega), label=label)
     ax.set(xlabel=r"$h\omega$", ylabel=r"spectral radius $\rho$", ylim=(0, 1.1))
     ax.legend()
+    return ax

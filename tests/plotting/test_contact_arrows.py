@@ -74,7 +74,7 @@ def test_the_arrow_is_on_the_body_that_moves() -> None:
 def test_drawn_with_arrows() -> None:
     model = ball()
     ax = matplotlib.figure.Figure(figsize=(4, 3)).add_subplot()
-    rb.plotting.draw(model, model.default_state().q, ax, source=BALL, contacts=forces(19.62))
+    rb.plotting.draw(model, model.default_state(), ax=ax, source=BALL, contacts=forces(19.62))
     ax.figure.canvas.draw()
     assert any(len(x.get_paths()) == 2 and x.get_zorder() == 4 for x in ax.collections)
     assert any(len(x.get_offsets()) == 1 and x.get_zorder() == 5 for x in ax.collections)
@@ -101,6 +101,6 @@ def test_bad_contacts() -> None:
     model = ball()
     ax = matplotlib.figure.Figure().add_subplot()
     with pytest.raises(rb.InputError, match="draw: contacts is int, expected ContactForces"):
-        rb.plotting.draw(model, model.default_state().q, ax, contacts=3)
+        rb.plotting.draw(model, model.default_state(), ax=ax, contacts=3)
     with pytest.raises(rb.InputError, match=r"contacts.position has shape \(4, 1, 3\)"):
-        rb.plotting.draw(model, model.default_state().q, ax, contacts=forces(1.0, lead=(4,)))
+        rb.plotting.draw(model, model.default_state(), ax=ax, contacts=forces(1.0, lead=(4,)))

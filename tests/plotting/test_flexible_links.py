@@ -97,13 +97,13 @@ def test_the_segments_are_drawn(arm):
     q = [0.3, 0.5, 0.1]
     for source, others in ((ARM, 1), (None, 3)):
         ax = matplotlib.figure.Figure(figsize=(5, 4)).add_subplot()
-        rb.plotting.draw(arm, q, ax, source=source)
+        rb.plotting.draw(arm, q, ax=ax, source=source)
         ax.figure.canvas.draw()
         assert len(ax.collections[-1].get_paths()) == 48 + others
     shown = rb.plotting.skeleton(arm)
     R, p = rb.plotting.poses(arm, np.array([q]))
     with pytest.raises(rb.InputError, match="expected at least 52"):
-        rb.plotting.draw_solids(ax, shown, R[0, : arm.nb], p[0, : arm.nb])
+        rb.plotting.draw_solids(shown, R[0, : arm.nb], p[0, : arm.nb], ax=ax)
 
 
 def test_what_mujoco_adds_to_its_scene(arm):

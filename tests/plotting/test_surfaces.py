@@ -101,7 +101,7 @@ def test_terrain_is_drawn() -> None:
 
     model = rb.load(TERRAIN)
     ax = matplotlib.figure.Figure(figsize=(4, 3)).add_subplot()
-    rb.plotting.draw(model, model.default_state().q, ax, source=TERRAIN)
+    rb.plotting.draw(model, model.default_state(), ax=ax, source=TERRAIN)
     ax.figure.canvas.draw()
 
 

@@ -78,7 +78,7 @@ def test_forces_accelerate_the_car(car, motion):
 def test_a_picture_shows_all_of_the_robot(car, motion):
     ax = Figure().subplots()
     grid = OccupancyGrid(np.eye(4, dtype=bool), 1.0, [-2.0, -2.0])
-    top_view(ax, car, motion, robots=2, ctrl=jnp.array([20.0, 0.3]), grid=grid)
+    top_view(car, motion, ax=ax, robots=2, ctrl=jnp.array([20.0, 0.3]), grid=grid)
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     for k in (0, -1):
         found = centers(car.robot, places(car, motion.q[k]))

@@ -370,10 +370,10 @@ PLOTTING: Calls = {
     "skeleton": {"model": PENDULUM},
     "solids": {"source": "pendulum"},
     "strobe": {"ax": axis(), "source": None, "model": PENDULUM, "q": np.zeros((2, 1))},
-    "time_plot": {"axes": [axis(), axis()], "ts": np.arange(3.0), "q": np.zeros((3, 2)),
+    "time_plot": {"ax": [axis(), axis()], "ts": np.arange(3.0), "q": np.zeros((3, 2)),
                   "v": np.zeros((3, 2)), "names": ["hip", "knee"]},
-    "top_view": {"ax": axis(), "model": VEHICLE,
-                 "path": wheeled.rollout(VEHICLE, STATE, np.zeros((3, 2)), 0.01), "robots": 2},
+    "top_view": {"ax": axis(), "model": VEHICLE, "robots": 2,
+                 "trajectory": wheeled.rollout(VEHICLE, STATE, np.zeros((3, 2)), 0.01)},
 }  # fmt: skip
 
 ROOMS: dict[str, tuple[Any, Calls]] = {

@@ -299,7 +299,7 @@ def test_tableaus_of_irrational_numbers_keep_them() -> None:
         (lambda: stability.linear_analysis("newmark"), "no linear theory here.*spectral_radius"),
         (lambda: stability.stability_function(diffrax.KenCarp3()), "KenCarp3 has no R.z."),
         (lambda: stability.spectral_radius("rigid_body_splitting", 1.0), "RigidBodySplitting"),
-        (lambda: stability.plot_regions(None, {}, (1.0, 0.0, 0.0, 1.0)), "window"),
+        (lambda: stability.plot_regions({}, (1.0, 0.0, 0.0, 1.0)), "window"),
     ],
 )
 def test_what_has_no_theory_is_refused_in_a_sentence(call, words: str) -> None:

@@ -200,7 +200,7 @@ def test_the_rim_is_drawn_where_theory_has_it() -> None:
     from matplotlib.figure import Figure
 
     ax = Figure().add_subplot()
-    stability.plot_regions(ax, {"Euler": "euler"}, (-2.5, 0.5, -1.5, 1.5), points=301)
+    stability.plot_regions({"Euler": "euler"}, (-2.5, 0.5, -1.5, 1.5), points=301, ax=ax)
     _, rim = (c for c in ax.collections if isinstance(c, QuadContourSet))
     points = np.concatenate([path.vertices for path in rim.get_paths()])
     np.testing.assert_allclose(np.hypot(points[:, 0] + 1, points[:, 1]), 1, atol=1e-3)
@@ -210,7 +210,7 @@ def test_spectral_radii_are_drawn_as_measured() -> None:
     from matplotlib.figure import Figure
 
     ax, frequencies = Figure().add_subplot(), np.array([0.1, 1.0, 1.9])
-    stability.plot_spectral_radius(ax, {"Verlet": "stoermer_verlet"}, frequencies)
+    stability.plot_spectral_radius({"Verlet": "stoermer_verlet"}, frequencies, ax=ax)
     (line,) = ax.lines
     np.testing.assert_allclose(line.get_ydata(), 1, rtol=1e-6)  # stable below h omega = 2
     np.testing.assert_array_equal(line.get_xdata(), frequencies)
