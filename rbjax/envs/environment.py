@@ -52,8 +52,9 @@ class Environment:
         episode: control steps in an episode.
         control_step: the functions of one control step of one sample.
         default_params: the `Params` of the task.
-        options: the options of a named task, as given to `rb.envs.make`; None for a task of one's
+        name: name of the task in the registry, as given to `rb.envs.make`; None for a task of one's
             own.
+        options: options of the named task, as given to `rb.envs.make`.
 
     Raises:
         InputError: a term of the task returns a wrong shape, or a name occurs twice.
@@ -80,8 +81,9 @@ class Environment:
         self.episode = task.episode
         self.action_size: int = self.control_step.action_size
         self.action_range = task.action.range(task.model)
-        #: options of the named task, set by `rb.envs.make`; None for a task of one's own
-        self.options: dict[str, Any] | None = None
+        # set by `rb.envs.make`
+        self.name: str | None = None
+        self.options: dict[str, Any] = {}
         self._programs: dict[tuple[str, bool], Callable] = {}
         self._traced: dict[str, dict] = {}
         self._check_terms()

@@ -94,5 +94,5 @@ def make(name: str, *, kernel: bool | None = None, **options: Any) -> Environmen
         if option not in accepted:
             raise UnknownName(f"option of task {name!r}", option, accepted)
     env = Environment(known[name](**options), kernel=kernel)
-    env.options = dict(options)
+    env.name, env.options = name, dict(options)
     return env

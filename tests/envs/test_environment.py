@@ -338,3 +338,19 @@ def test_time_steps_and_values():
     assert env.dt == 0.004 * 5
     values = env.default_params.values
     assert values["count"].dtype == env.dtype and values["on"].dtype == bool
+
+
+def test_the_cache_of_programs_is_bounded(monkeypatch):
+    """Each new constant is a new program; a cache keeps the last ones."""
+    from rbjax.dynamics.tracing import one_sample
+
+    monkeypatch.setattr(one_sample, "MOST_PROGRAMS", 2)
+    cache = {}
+    for k in range(4):
+        constant = jnp.asarray(float(k))
+
+        def product(x, constant=constant):
+            return one_sample.run_sample(lambda x, c: x * c, x, constant, cache=cache)
+
+        assert (jax.vmap(product)(jnp.ones(3)) == k).all()
+        assert len(cache) == min(k + 1, 2)

@@ -16,6 +16,8 @@ from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 
+MOST_PROGRAMS = 32  # traced programs that a cache keeps
+
 
 def run_sample(
     f: Callable,
@@ -37,7 +39,8 @@ def run_sample(
     multi_kernel: function of the traced values of `own` that computes the leaves of the result in
         several kernels, for a large model on a GPU; or None.
     cache: programs of f that are already traced, by their arguments; None to trace f at each call.
-        f must not close over traced values then.
+        f must not close over traced values then. It keeps the last MOST_PROGRAMS programs, so that
+        it does not grow with each new constant.
     """
     moving, closed = split_tracers((own, shared))
     if not moving or not kernels_available():
@@ -61,6 +64,8 @@ def run_sample(
         if cache is not None and not closed_over:
             # JAX arrays are identified by `id`, so they are kept
             cache[key] = *found[:3], closed([None] * len(moving))
+            while len(cache) > MOST_PROGRAMS:
+                cache.pop(next(iter(cache)))
     program, closed_over, tree, _ = found
     count = len(split_tracers(own)[0])
     if count == len(moving):

@@ -1,13 +1,17 @@
 """Checkpoints of policies: a folder with the task, the settings and the parameters.
 
-FOLDER/policy.json    the task's name and options, the settings, the sizes of the networks
-FOLDER/parameters     the arrays, by orbax
+FOLDER/policy.json      the task's name and options, the settings, the sizes of the networks, and the
+                        name of the folder of the arrays
+FOLDER/parameters-N     the arrays, by orbax; N counts the checkpoints that were written
+
+A new checkpoint becomes the valid one in a single step, when its policy.json replaces the old one.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -81,23 +85,16 @@ def save_policy(
             "noise": policy.log_std is not None,
         },
     }
-    try:
-        text = json.dumps(head, indent=1, default=_plain)
-    except TypeError as error:
-        raise InputError(f"save_policy: options or settings are not plain data: {error}") from error
+    _json(head)  # before anything is written
     checkpointer = _orbax("save_policy")
     folder.mkdir(parents=True, exist_ok=True)
-    # the earlier checkpoint stays until the new one is complete
-    new, old, current = (folder / f"parameters{end}" for end in (".new", ".old", ""))
-    for rest in (new, old):
-        shutil.rmtree(rest, ignore_errors=True)
-    checkpointer.save(new, _arrays(policy))
-    (folder / "policy.json.new").write_text(text + "\n")
-    if current.exists():
-        current.rename(old)
-    new.rename(current)
+    earlier = _arrays_folders(folder)
+    head["arrays"] = f"parameters-{max(earlier.values(), default=0) + 1}"
+    checkpointer.save(folder / head["arrays"], _arrays(policy))
+    (folder / "policy.json.new").write_text(_json(head))
     (folder / "policy.json.new").replace(folder / "policy.json")
-    shutil.rmtree(old, ignore_errors=True)
+    for name in earlier:
+        shutil.rmtree(folder / name, ignore_errors=True)
     return folder
 
 
@@ -131,7 +128,9 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
             "with this version of rbjax"
         )
     policy = _like(head["policy"])
-    arrays = _orbax("load_policy").restore(folder / "parameters", _arrays(policy))
+    arrays = _orbax("load_policy").restore(
+        folder / head.get("arrays", "parameters"), _arrays(policy)
+    )
     arrays = {name: jnp.asarray(x) for name, x in arrays.items()}
     network = Network(
         tuple(arrays[f"weight_{k}"] for k in range(len(policy.network.weights))),
@@ -177,6 +176,23 @@ def _arrays(policy: Policy) -> dict[str, np.ndarray]:
 
 def _orbax(where: str) -> Any:
     return require(where, "orbax.checkpoint").PyTreeCheckpointer()
+
+
+def _arrays_folders(folder: Path) -> dict[str, int]:
+    """Return the folders of arrays, of earlier and of incomplete checkpoints, and their numbers."""
+    found = {}
+    for path in folder.iterdir():
+        match = re.match(r"parameters(?:-(\d+))?(?:\.|$)", path.name)
+        if match is not None:
+            found[path.name] = int(match.group(1) or 0)
+    return found
+
+
+def _json(head: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(head, indent=1, default=_plain) + "\n"
+    except TypeError as error:
+        raise InputError(f"save_policy: options or settings are not plain data: {error}") from error
 
 
 def _plain(x: Any) -> Any:

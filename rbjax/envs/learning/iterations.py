@@ -102,7 +102,7 @@ def run_iterations(
         The last state, and the figures of all iterations, each (iterations,).
     """
     started = time.perf_counter()
-    quick = jax.default_backend() == "gpu" and iterations < OPTIMISED_FROM
+    quick = devices[0].platform == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     length = -(-iterations // chunks)
 

@@ -16,7 +16,7 @@ from rbjax.envs.learning.report import Monitor
 from rbjax.envs.learning.short_horizon import shac
 from rbjax.envs.learning.task_settings import ALGORITHMS, settings
 from rbjax.envs.learning.trained import Trained
-from rbjax.envs.registry import make, tasks
+from rbjax.envs.registry import make
 from rbjax.errors import InputError, UnknownName
 
 
@@ -79,15 +79,14 @@ def train(
     if isinstance(task, Environment) and options:
         raise InputError("train: options need the name of a task, got an Environment")
     env = task if isinstance(task, Environment) else make(task, **(options or {}))
-    name = env.task.name if isinstance(task, Environment) else task
-    registered = env.options is not None and name in tasks()
-    if out is not None and not registered:
+    name = env.task.name if env.name is None else env.name
+    if out is not None and env.name is None:
         raise InputError(
             f"train: out is {str(out)!r} but the environment of {name!r} was not made by "
             "rb.envs.make, so that load_policy could not make it again; register the task with "
             "rb.envs.register and pass its name, or leave out and save the result"
         )
-    chosen = settings(name if registered else None, algorithm)
+    chosen = settings(env.name, algorithm)
     chosen = chosen | ({} if steps is None else {"steps": steps}) | changes
     record = {"algorithm": algorithm, "seed": seed, "devices": devices, **chosen}
     folder = None if out is None else Path(out)

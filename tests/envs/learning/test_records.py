@@ -85,14 +85,17 @@ def test_a_checkpoint_has_the_options_of_an_environment(tmp_path):
     env = rb.envs.make("cart_pole_balance", sparse=True)
     train(env, "shac", out=tmp_path, **small)
     assert json.loads((tmp_path / "policy.json").read_text())["options"] == {"sparse": True}
-    assert load_policy(tmp_path)[0].options == {"sparse": True}
+    back, _ = load_policy(tmp_path)
+    assert (back.name, back.options) == ("cart_pole_balance", {"sparse": True})
     with pytest.raises(InputError, match="not made by"):
         train(environment(), "shac", out=tmp_path, **small)
     with pytest.raises(InputError, match="not made by"):
         train(Environment(env.task), "shac", out=tmp_path, **small)
 
 
-def test_a_checkpoint_that_fails_leaves_the_earlier_one(tmp_path, pole, monkeypatch):
+@pytest.mark.parametrize("stage", ["arrays", "head"])
+def test_a_checkpoint_that_fails_leaves_the_earlier_one(tmp_path, pole, monkeypatch, stage):
+    """A failure while the arrays are written, and one before policy.json is replaced."""
     pytest.importorskip("orbax.checkpoint")
     policy = new_policy(environment(), KEY, (3,))
     save_policy(tmp_path, policy, pole)
@@ -101,13 +104,20 @@ def test_a_checkpoint_that_fails_leaves_the_earlier_one(tmp_path, pole, monkeypa
         def save(self, path, arrays):
             raise OSError("no space")
 
-    monkeypatch.setattr("rbjax.envs.learning.checkpoint._orbax", lambda where: Full())
+    def fail(self, target):
+        raise OSError("no space")
+
+    if stage == "arrays":
+        monkeypatch.setattr("rbjax.envs.learning.checkpoint._orbax", lambda where: Full())
+    else:
+        monkeypatch.setattr("pathlib.Path.replace", fail)
     with pytest.raises(OSError, match="no space"):
         save_policy(tmp_path, new_policy(environment(), KEY, (9, 9)), pole)
     monkeypatch.undo()
     assert load_policy(tmp_path)[1].network.sizes == (4, 3, 1)
     save_policy(tmp_path, policy, pole)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["parameters", "policy.json"]
+    assert len(list(tmp_path.glob("parameters*"))) == 1 and not list(tmp_path.glob("*.new"))
+    assert load_policy(tmp_path)[1].network.sizes == (4, 3, 1)
 
 
 def test_the_command(tmp_path, pole, monkeypatch):
