@@ -7,6 +7,7 @@ Files:
     episode.py: `Params` and `EnvState`, the pytrees.
     environment.py: `Environment`, `reset`, `step`, `unroll`.
     control_step.py: a control step of one sample.
+    batch_step.py: a control step of a batch of episodes under a policy.
     optimal_control.py: a task as an optimal control problem.
     identification.py: observations as sensors, logs as recordings.
     checks.py: checks of tasks and parameters.

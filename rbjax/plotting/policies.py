@@ -16,6 +16,7 @@ from rbjax.contact import ContactForces
 from rbjax.display import displayed
 from rbjax.envs import Environment, EnvState, Params
 from rbjax.envs.actions import action_center_and_scale
+from rbjax.envs.batch_step import batch_step
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.trajectory import Trajectory
@@ -91,13 +92,10 @@ def record_policy(
     first, key = jax.random.split(jax.random.key(seed))
     obs, state = jax.vmap(env.reset, (0, None))(jax.random.split(first, samples), params)
 
+    step = jax.vmap(lambda *own: env.step(*own, params))
+
     def one(carry: tuple, key: jax.Array) -> tuple:
-        obs, state = carry
-        chosen, stepped = (jax.random.split(k, samples) for k in jax.random.split(key))
-        action = jax.vmap(act)(obs, chosen)
-        obs, state, reward, done, _ = jax.vmap(env.step, (0, 0, 0, None))(
-            stepped, state, action, params
-        )
+        _, (obs, state, reward, done, _) = batch_step(act, step, *carry, key, samples)
         return (obs, state), (_kept(state), reward, done)
 
     start = _kept(state)

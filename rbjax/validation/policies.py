@@ -17,6 +17,7 @@ import numpy as np
 from mujoco import rollout
 
 from rbjax.arguments import instance, integer
+from rbjax.envs.batch_step import batch_keys
 from rbjax.envs.environment import Environment
 from rbjax.envs.learning.evaluation import Episodes
 from rbjax.errors import InputError
@@ -83,8 +84,7 @@ def evaluate_in_mujoco(
     @jax.jit
     def prepare(state: Any, obs: Any, key: jax.Array) -> tuple:
         action = jax.vmap(lambda o: policy(o, None))(obs)
-        keys = jax.random.split(key, (2, episodes))[1]  # as in `evaluate`
-        own = jax.random.key_data(keys), state, action
+        own = jax.random.key_data(batch_keys(key, episodes)[1]), state, action
         return action, *jax.vmap(lambda *own: step.before_physics(own, params))(*own)
 
     @jax.jit
@@ -93,9 +93,7 @@ def evaluate_in_mujoco(
         obs, state, reward, done, info = after(*own)
         return obs, state, reward, done, info["terminated"]
 
-    zero = np.zeros(episodes)
-    running, returns, lengths = np.ones(episodes, bool), zero.copy(), zero.astype(int)
-    ended = np.zeros(episodes, bool)
+    found, running = Episodes.empty(episodes, env.dtype)
     data = [mujoco.MjData(mj_model) for _ in range(threads)]
     keys = jax.random.split(two, env.episode)
     for i in range(total):
@@ -106,15 +104,12 @@ def evaluate_in_mujoco(
         )
         moved = kept, jnp.asarray(rate, env.dtype)
         obs, state, reward, done, terminated = finish(rest, last, action, ctrl, moved)
-        returns += np.where(running, np.asarray(reward), 0.0)
-        lengths += running
-        ended |= running & np.asarray(terminated)
-        running &= ~np.asarray(done)
+        found, running = found.include(running, reward, done, terminated)
         if progress is not None:
             progress(i + 1, total)
         if not running.any():
             break
-    return Episodes(jnp.asarray(returns), jnp.asarray(lengths), jnp.asarray(ended))
+    return found
 
 
 def _advance(

@@ -1,7 +1,7 @@
 """Checkpoints of policies: a folder with the task, the settings and the parameters.
 
-FOLDER/policy.json      the task's name and options, the settings, the sizes of the networks, and the
-                        name of the folder of the arrays
+FOLDER/policy.json      the task's name and options, the settings, the sizes of the networks, and
+                        the name of the folder of the arrays
 FOLDER/parameters-N     the arrays, by orbax; N counts the checkpoints that were written
 
 A new checkpoint becomes the valid one in a single step, when its policy.json replaces the old one.

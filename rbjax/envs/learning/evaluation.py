@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import instance, integer
+from rbjax.envs.batch_step import batch_step
 from rbjax.envs.environment import Environment
 from rbjax.kinematics.arguments import check_key
 
@@ -22,6 +23,23 @@ class Episodes(NamedTuple):
     returns: jax.Array
     lengths: jax.Array
     terminated: jax.Array
+
+    @staticmethod
+    def empty(episodes: int, dtype: Any) -> tuple[Episodes, jax.Array]:
+        """Return episodes without steps, and which of them are running: all."""
+        yes = jnp.ones(episodes, bool)
+        return Episodes(jnp.zeros(episodes, dtype), jnp.zeros(episodes, int), ~yes), yes
+
+    def include(
+        self, running: jax.Array, reward: jax.Array, done: jax.Array, terminated: jax.Array
+    ) -> tuple[Episodes, jax.Array]:
+        """Return the episodes with a further step of the running ones, and which still run."""
+        found = Episodes(
+            self.returns + jnp.where(running, reward, 0.0),
+            self.lengths + running,
+            self.terminated | (running & terminated),
+        )
+        return found, running & ~done
 
 
 def evaluate(
@@ -63,24 +81,18 @@ def evaluate(
     @jax.jit
     def run(params: Any) -> Episodes:
         obs, state = jax.vmap(env.reset, (0, None))(jax.random.split(one, episodes), params)
-        zero = jnp.zeros(episodes, env.dtype)
-        found = Episodes(zero, jnp.zeros(episodes, int), jnp.zeros(episodes, bool))
+        act = policy if noise else lambda obs, key: policy(obs, None)
+        step = jax.vmap(lambda *own: env.step(*own, params))
 
         def move(carry: Any, key: jax.Array) -> tuple[Any, None]:
-            obs, state, running, found = carry
-            keys = jax.random.split(key, (2, episodes))
-            act = jax.vmap(policy) if noise else jax.vmap(lambda o, key: policy(o, None))
-            step = jax.vmap(env.step, (0, 0, 0, None))
-            obs, state, reward, done, info = step(keys[1], state, act(obs, keys[0]), params)
-            found = Episodes(
-                found.returns + jnp.where(running, reward, 0.0),
-                found.lengths + running,
-                found.terminated | (running & (info["terminated"] | info["failed"])),
-            )
-            return (obs, state, running & ~done, found), None
+            obs, state, found, running = carry
+            _, moved = batch_step(act, step, obs, state, key, episodes)
+            obs, state, reward, done, info = moved
+            found = found.include(running, reward, done, info["terminated"])
+            return (obs, state, *found), None
 
-        start: Any = (obs, state, jnp.ones(episodes, bool), found)
-        (*_, found), _ = jax.lax.scan(move, start, jax.random.split(two, env.episode))
+        start: Any = (obs, state, *Episodes.empty(episodes, env.dtype))
+        (_, _, found, _), _ = jax.lax.scan(move, start, jax.random.split(two, env.episode))
         return found
 
     return run(params)

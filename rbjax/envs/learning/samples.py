@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.envs.batch_step import batch_step
 from rbjax.lanes.arrays import select
 
 
@@ -63,16 +64,18 @@ def move_samples(
     """Advance a batch under a policy. slope_limit: of `limit_slope`, in each step."""
     batch = samples.whole.shape[0]
     once = jax.vmap(env.step_once, (0, 0, 0, None))
+
+    def step(keys: jax.Array, state: Any, action: jax.Array) -> tuple:
+        return once(keys, *limit_slope((state, action), slope_limit), params)
+
     first, key = jax.random.split(key)
     fresh = jax.lax.stop_gradient(
         jax.vmap(env.reset, (0, None))(jax.random.split(first, batch), params)
     )
 
     def move(now: Samples, key: jax.Array) -> tuple[Samples, Path]:
-        one, two = jax.random.split(key)
-        action = jax.vmap(policy)(now.obs, jax.random.split(one, batch))
-        state, action = limit_slope((now.state, action), slope_limit)
-        seen, state, reward, done, info = once(jax.random.split(two, batch), state, action, params)
+        _, moved = batch_step(policy, step, now.obs, now.state, key, batch)
+        seen, state, reward, done, info = moved
         failed = info["failed"]
         finished = done & now.whole & ~failed
         seen = jax.vmap(select)(failed, jax.lax.stop_gradient(now.obs), seen)
