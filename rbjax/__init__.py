@@ -125,18 +125,20 @@ def _of(module: str, name: str | None = None) -> Any:
     return found if name is None else getattr(found, name)
 
 
-def __getattr__(name: str) -> Any:
-    """Return a package or a name that is imported on first use."""
-    if name in _PACKAGES:
-        return _of(f"rbjax.{name}")
-    if name in _MODULES:
-        globals()[name] = found = _of(f"rbjax.{_MODULES[name]}", name)
-        return found
-    raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
+if not TYPE_CHECKING:  # with it, a type checker would accept every name
+
+    def __getattr__(name: str) -> Any:
+        """Return a package or a name that is imported on first use."""
+        if name in _PACKAGES:
+            return _of(f"rbjax.{name}")
+        if name in _MODULES:
+            globals()[name] = found = _of(f"rbjax.{_MODULES[name]}", name)
+            return found
+        raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "loading", "motion", "__version__"]
 
 
 __all__ = [

@@ -1,9 +1,13 @@
 """`import rbjax` imports little; the rest is imported on its first use, and works as if it had."""
 
 import ast
+import importlib
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import rbjax as rb
 
@@ -48,16 +52,27 @@ def test_every_public_name_is_there_and_listed():
     assert {*rb.__all__} <= {*dir(rb)}
     for name in rb.__all__:
         assert getattr(rb, name) is getattr(rb, name)
-    try:
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         rb.nothing  # noqa: B018
-    except AttributeError as error:
-        assert "no attribute 'nothing'" in str(error)
+
+
+def test_dir_lists_the_public_names_only():
+    """Without helpers, and without the modules that a room imports."""
+    assert {*dir(rb)} == {*rb.__all__, "loading", "motion", "__version__"}
+    packages = [m.name for m in pkgutil.walk_packages(rb.__path__, "rbjax.") if m.ispkg]
+    rooms = [importlib.import_module(name) for name in packages]
+    public = [
+        x for x in rooms if hasattr(x, "__all__") and not x.__name__.endswith((".cli", ".demo"))
+    ]
+    assert len(public) > 30
+    assert [x.__name__ for x in public if dir(x) != sorted(x.__all__)] == []
 
 
 def test_tools_that_read_types_see_the_names_that_are_imported_on_use():
     """A type checker reads the imports under TYPE_CHECKING."""
     tree = ast.parse(Path(rb.__file__).read_text())
-    (block,) = (n for n in tree.body if isinstance(n, ast.If))
+    block = next(n for n in tree.body if isinstance(n, ast.If))
+    assert ast.unparse(block.test) == "TYPE_CHECKING"
     typed = {a.name for n in block.body for a in n.names}
     from rbjax import _MODULES, _PACKAGES
 

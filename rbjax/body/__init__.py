@@ -67,3 +67,7 @@ __all__ = [
     "total_wrench",
     "virtual_work",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -172,6 +172,7 @@ class NewtonEuler(_QuaternionState):
         The wrench is a correction: a = v' + omega x v, but the fluid's momentum changes with v'.
         """
         shift = se3.pose(jnp.eye(3, dtype=V.dtype), -self._point(body))
+        assert body.added_mass is not None
         A = spatial.transform_inertia(shift, body.added_mass)
         convective = jnp.concatenate([jnp.zeros(3, V.dtype), jnp.cross(V[:3], V[3:])])
         return A, spatial.force_cross(V, matvec(A, V)) - matvec(A, convective)

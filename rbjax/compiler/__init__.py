@@ -23,3 +23,7 @@ from rbjax.compiler.jax.launch import kernels_available as kernels_available
 from rbjax.compiler.jax.native import compile as compile
 
 __all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -147,3 +147,7 @@ __all__ = [
     "time",
     "turn",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -36,3 +36,7 @@ __all__ = [
     "pairs",
     "solve",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -79,3 +79,7 @@ __all__ = [
     # subpackages
     "laws", "linear", "optimal",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -65,3 +65,7 @@ __all__ = [
     "mass_matrix",
     "potential_energy",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

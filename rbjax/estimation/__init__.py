@@ -22,3 +22,7 @@ __all__ = [
     "kalman_smoother",
     "Smoothed",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -38,3 +38,7 @@ __all__ = [
     "section_regressor",
     "tube",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

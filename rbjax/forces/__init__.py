@@ -42,3 +42,7 @@ __all__ = [
     "tendon_lengths",
     "tendon_reach",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -46,3 +46,7 @@ __all__ = [
     "kinds",
     "register",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -18,3 +18,7 @@ __all__ = [
     "differential_inverse_kinematics",
     "inverse_kinematics",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

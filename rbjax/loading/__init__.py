@@ -19,3 +19,7 @@ __all__ = [
     "write_back",
     "write_mjcf",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

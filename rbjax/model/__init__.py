@@ -39,3 +39,7 @@ __all__ = [
     "spans",
     "without_constants",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

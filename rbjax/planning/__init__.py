@@ -61,3 +61,7 @@ __all__ = [
     "refine",
     "time_scaling",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

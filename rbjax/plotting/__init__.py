@@ -62,3 +62,7 @@ __all__ = [
     "time_plot",
     "top_view",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

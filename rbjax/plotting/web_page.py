@@ -21,6 +21,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.plotting.film import Film
@@ -61,7 +62,7 @@ def write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) 
 def page_data(film: Film, fps: float, speed: float) -> dict[str, Any]:
     """Return the data of a page, as the script reads it."""
     samples, frames, bodies = film.p.shape[:3]
-    poses = np.concatenate([film.p, quaternion.from_matrix(film.R)], -1)
+    poses = np.concatenate([film.p, quaternion.from_matrix(jnp.asarray(film.R))], -1)
     middle = film.centre if film.middle is None else film.middle
     crowd = samples > CROWD
     return {

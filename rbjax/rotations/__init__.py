@@ -21,3 +21,7 @@ __all__ = [
     "se3",
     "so3",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

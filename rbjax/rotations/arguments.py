@@ -10,7 +10,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,9 @@ from rbjax.arguments import floating_array, real_array
 from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 #: kind of argument -> shape of one sample
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -44,7 +47,7 @@ ORTHONORMAL = 1e-2
 
 def takes(
     static: Iterable[str] = (), positive: Iterable[str] = (), **kinds: str
-) -> Callable[[Callable], Callable]:
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function of arrays and checks its arguments.
 
     Args:
@@ -55,13 +58,13 @@ def takes(
     """
     static = tuple(static)
 
-    def decorate(f: Callable) -> Callable:
+    def decorate(f: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(f)
         optional = {n: p.default is None for n, p in signature.parameters.items()}
         program = compiled(f, options=wide_vectors, static_argnames=static)
 
         @functools.wraps(f)
-        def call(*args: Any, **kwargs: Any) -> Any:
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
             bound = signature.bind(*args, **kwargs)
             given = {n: bound.arguments[n] for n in kinds if n in bound.arguments}
             given = {n: x for n, x in given.items() if x is not None or not optional[n]}

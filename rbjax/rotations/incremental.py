@@ -72,13 +72,11 @@ def fold(state: Incremental, local: str = "mrp", margin: float | None = None) ->
     """
     rep = _local(local)
     left = rep.singularity_distance(state.x)
-    if margin is None:
-        margin = rep.singularity_distance(jnp.zeros_like(state.x)) / 2
-    due = (left < margin)[..., None]
+    zero = jnp.zeros_like(state.x)
+    least = rep.singularity_distance(zero) / 2 if margin is None else margin
+    due = (left < least)[..., None]
     moved = quaternion.normalize(attitude(state, local))
-    return Incremental(
-        jnp.where(due, moved, state.reference), jnp.where(due, jnp.zeros_like(state.x), state.x)
-    )
+    return Incremental(jnp.where(due, moved, state.reference), jnp.where(due, zero, state.x))
 
 
 def integrate(

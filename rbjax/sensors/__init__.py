@@ -131,3 +131,7 @@ __all__ = [
     "sense",
     "sensor_of",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

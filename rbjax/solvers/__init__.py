@@ -133,3 +133,7 @@ __all__ = [
     "chord",
     "very_chord",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -89,3 +89,7 @@ __all__ = [
     "twist_at",
     "wrench_at",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -142,3 +142,7 @@ __all__ = [
     "plot_regions",
     "plot_spectral_radius",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -46,3 +46,7 @@ __all__ = [
     "many_starts", "monte_carlo", "parameters", "prediction_error", "read_csv", "read_npz",
     "report", "split", "squares", "statistics", "torque",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -5,3 +5,7 @@ from rbjax.validation.policies import evaluate_in_mujoco
 from rbjax.validation.report import Error, Report, Row
 
 __all__ = ["Error", "Report", "Row", "compare", "evaluate_in_mujoco"]
+
+
+def __dir__() -> list[str]:
+    return __all__

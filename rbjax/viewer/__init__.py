@@ -11,3 +11,7 @@ from rbjax.viewer.sources import Subject, subject_of, subject_of_policy
 from rbjax.viewer.viewing import Viewer, view
 
 __all__ = ["Subject", "Viewer", "subject_of", "subject_of_policy", "view"]
+
+
+def __dir__() -> list[str]:
+    return __all__

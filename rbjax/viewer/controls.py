@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics import forward_kinematics, integrate
@@ -135,7 +136,7 @@ class JointSliders:
         R, p = station_poses(
             self.model, np.asarray(R, float), np.asarray(p, float), np.asarray(q)[None]
         )
-        return p.astype(np.float32), np.asarray(quaternion.from_matrix(R), np.float32)
+        return p.astype(np.float32), np.asarray(quaternion.from_matrix(jnp.asarray(R)), np.float32)
 
 
 def ranges(model: Model, q: Any, size: float) -> list[tuple[str, float, float]]:

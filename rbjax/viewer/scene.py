@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.plotting.film import Film
@@ -35,7 +36,7 @@ class Scene:
     def __init__(self, server: Any, film: Film):
         self.server, self.film = server, film
         self.p = film.p.astype(np.float32)
-        self.q = np.asarray(quaternion.from_matrix(film.R), np.float32)
+        self.q = np.asarray(quaternion.from_matrix(jnp.asarray(film.R)), np.float32)
         self.size = float(film.size.max())
         self.ghosts_shown = self.forces_shown = True
         self.spread = 0.0
@@ -165,7 +166,7 @@ class _Tube:
 
     def show(self, p: Array, q: Array, *, ghosts: bool) -> None:
         """Move the vertices with the bodies at p (S, n, 3) and q (S, n, 4)."""
-        R = np.asarray(quaternion.to_matrix(q[: 1 + self.copies]), np.float32)
+        R = np.asarray(quaternion.to_matrix(jnp.asarray(q[: 1 + self.copies])), np.float32)
         bodies, points = self.merged.bodies, self.merged.points
         for node in self.nodes[1:]:
             node.visible = ghosts

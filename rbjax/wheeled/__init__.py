@@ -95,3 +95,7 @@ __all__ = [
     "with_trailers",
     "write_mjcf",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

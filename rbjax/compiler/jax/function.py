@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,10 @@ from rbjax.compiler.jax.uniform import split_results
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
 
+F = TypeVar("F", bound=Callable[..., Any])
 
-def threads(f: Callable, *, team: bool = False) -> Callable:
+
+def threads(f: F, *, team: bool = False) -> F:
     """Compile a function of one sample, so that its `vmap` is one kernel.
 
     g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
@@ -61,7 +64,7 @@ def threads(f: Callable, *, team: bool = False) -> Callable:
     def call(*args: object, **kwargs: object) -> object:
         return (kernel if kernels_available() else f)(*args, **kwargs)
 
-    return call
+    return cast(F, call)
 
 
 def flatten_call(

@@ -24,3 +24,7 @@ __all__ = [
     "computed_torque", "gravity_compensation", "joint_impedance", "operational_space",
     "region_of_attraction",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -76,7 +76,7 @@ class Task(Record):
         return self.rows.stop - self.rows.start
 
     @property
-    def frame(self) -> dict[str, str | None]:
+    def frame(self) -> dict[str, Any]:
         """The frame's name, as keyword arguments of the frame algorithms."""
         return {"body": self.body, "site": self.site}
 

@@ -49,3 +49,7 @@ __all__ = [
     # filters
     "SteadyFilter", "kalman_gain",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

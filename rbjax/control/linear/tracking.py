@@ -129,7 +129,7 @@ def time_varying_lqr(
     along = State(q, v, x)
     starts = jax.tree.map(lambda y: y[:-1], along)
 
-    options = {"integrator": integrator, "dynamics": dynamics, "constraints": constraints}
+    options: Any = {"integrator": integrator, "dynamics": dynamics, "constraints": constraints}
 
     def of(state: State, ctrl: jax.Array) -> Any:
         return linearise(model, state, ctrl, dt, **options)

@@ -41,3 +41,7 @@ __all__ = [
     "Sampling", "Solution", "Sphere", "StateError", "Status", "System", "Term", "TickStatus",
     "Velocity", "methods", "mpc", "solve",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,9 @@ from rbjax.errors import InputError
 from rbjax.meshes import on_auto_axes, on_explicit_axes
 from rbjax.model import Frame, Model, with_constants
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 #: the arguments that are static: they determine the program
 STATIC = ("body", "site", "integrator", "dynamics", "constraints", "contact")
 #: the number of programs that an algorithm caches for functions of a user (dynamics, integrators)
@@ -46,7 +49,7 @@ def algorithm(
     where: str = "",
     functions: tuple[str, ...] = (),
     saves: Callable[..., bool] | None = None,
-) -> Callable[[Callable], Callable]:
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that makes f(model, *arrays, *rest) a public algorithm.
 
     Args:
@@ -61,7 +64,7 @@ def algorithm(
             forward pass (`rbjax.compiler.jax.saved`).
     """
 
-    def decorate(f: Callable) -> Callable:
+    def decorate(f: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(f)
         on_lanes = functools.partial(with_driver_of_threads, pairs=pairs, long=long)
         static = [n for n in STATIC if n in signature.parameters]
@@ -105,8 +108,9 @@ def algorithm(
             return jitted(run, static_argnames=[n for n in static if n not in own])
 
         @functools.wraps(f)
-        def call(model: Model, *args: Any, **kwargs: Any) -> Any:
-            bound = signature.bind(model, *args, **kwargs)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            bound = signature.bind(*args, **kwargs)
+            model = bound.args[0]
             if isinstance(frame := bound.arguments.get("body"), Frame):
                 if others := [n for n in ("point", "site") if bound.arguments.get(n) is not None]:
                     raise InputError(f"{name}: got a Frame and {others[0]}, expected one")

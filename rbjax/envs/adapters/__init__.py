@@ -31,3 +31,7 @@ __all__ = [
     "to_rsl_rl",
     "wrap_brax",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -54,3 +54,7 @@ __all__ = [
     "through_time",
     "train",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

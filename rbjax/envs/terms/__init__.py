@@ -112,3 +112,7 @@ __all__ = [
     "velocity_pushes",
     "vertical_velocity",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -59,3 +59,7 @@ __all__ = [
     "with_middle_nodes",
     "write_sid",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

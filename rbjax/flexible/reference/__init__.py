@@ -59,3 +59,7 @@ __all__ = [
     "spin_up_angle",
     "spin_up_beam",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -26,3 +26,7 @@ __all__ = [
     "stiffness_matrix",
     "strain_beam",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

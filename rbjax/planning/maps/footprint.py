@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -24,6 +24,8 @@ from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.rotations.arguments import takes
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Footprint(Record):
@@ -128,7 +130,7 @@ def check_map(where: str, field: Any, footprint: Any) -> None:
     instance(where, "footprint", footprint, Footprint, shape)
 
 
-def _checks_map(f: Callable) -> Callable:
+def _checks_map(f: F) -> F:
     """Decorate a function to check the field and the footprint before JAX traces it."""
 
     @functools.wraps(f)
@@ -136,7 +138,7 @@ def _checks_map(f: Callable) -> Callable:
         check_map(f.__name__, field, footprint)
         return f(field, poses, footprint)
 
-    return call
+    return cast(F, call)
 
 
 def disc_centers(poses: jax.Array, footprint: Footprint) -> jax.Array:

@@ -122,7 +122,7 @@ def hybrid_a_star(
         return blocked
     ends = np.stack([start, goal])
     if root is None:
-        room = np.asarray(clearance(distances, ends, footprint))
+        room = np.asarray(clearance(distances, jnp.asarray(ends), footprint))
         root = "goal" if room[1] < room[0] else "start"
     reverse = root == "goal"
     if reverse:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, TypeVar
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance, integer, real_array
@@ -212,7 +213,7 @@ def collision(
     distances: DistanceField, footprint: Footprint, start: np.ndarray, goal: np.ndarray
 ) -> Plan | None:
     """Return the plan of a search whose start or goal is in collision, or None if both are free."""
-    free = np.asarray(clear(distances, np.stack([start, goal]), footprint))
+    free = np.asarray(clear(distances, jnp.stack([start, goal]), footprint))
     if free.all():
         return None
     return Plan("goal in collision" if free[0] else "start in collision")

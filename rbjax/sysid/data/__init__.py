@@ -6,3 +6,7 @@ from rbjax.sysid.data.units import in_si
 __all__ = [
     "Filtered", "differentiate", "in_si", "low_pass",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

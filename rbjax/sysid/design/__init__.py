@@ -6,3 +6,7 @@ from rbjax.sysid.design.experiments import Experiment, MotionLimits, design_expe
 __all__ = [
     "Experiment", "Fourier", "Motion", "MotionLimits", "Spline", "design_experiment",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

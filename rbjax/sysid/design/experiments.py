@@ -122,8 +122,8 @@ class MotionLimits(eqx.Module):
             out["speed"] = jnp.abs(v) / jnp.asarray(self.speed) - 1
         if self.acceleration is not None:
             out["acceleration"] = jnp.abs(a) / jnp.asarray(self.acceleration) - 1
-        if self.model is not None:
-            tau = jax.vmap(lambda *x: inverse_dynamics(self.model, *x))(q, v, a)
+        if (model := self.model) is not None:
+            tau = jax.vmap(lambda *x: inverse_dynamics(model, *x))(q, v, a)
             out["torque"] = jnp.abs(tau) / jnp.asarray(self.torque) - 1
         if self.own is not None:
             out["own"] = jax.vmap(self.own)(q, v, a)

@@ -321,6 +321,6 @@ def _largest_speeds(setup: Setup, q: np.ndarray, there: np.ndarray, T: float) ->
     at = np.flatnonzero(there.all(1))
     if len(at) < 2:
         return np.ones(setup.model.nv)
-    minus = jax.vmap(functools.partial(difference, setup.model))
+    minus: Any = jax.vmap(functools.partial(difference, setup.model))
     speed = np.abs(np.asarray(minus(q[at[:-1]], q[at[1:]]))) / (T * np.diff(at)[:, None])
     return np.maximum(speed.max(0), 1e-3 * max(speed.max(), 1e-3))

@@ -18,3 +18,7 @@ __all__ = [
     "log_determinant_divergence", "model_log_cholesky", "nearest_pseudo_inertia",
     "prior_residual", "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -108,7 +108,7 @@ class Unknown(Scalars):
 def _pseudo_slopes() -> np.ndarray:
     """Compute the derivatives dP/dphi (10, 4, 4) of the pseudo-inertia, which is linear in phi."""
     with jax.ensure_compile_time_eval():  # the first call may occur during a trace
-        return np.asarray(pseudo_inertia_of(np.eye(10)))
+        return np.asarray(pseudo_inertia_of(jnp.asarray(np.eye(10))))
 
 
 @dataclass(frozen=True)

@@ -9,3 +9,7 @@ __all__ = [
     "Combinations", "Comparison", "Estimates", "HeldOut", "Interval", "Scored", "Whiteness",
     "combinations", "compare", "estimates", "held_out", "whiteness",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -22,3 +22,7 @@ __all__ = [
     "parameter_names", "parameter_values", "random_motions", "regress", "regress_with_zeros",
     "regressor", "select", "torque_rows", "zeros_of",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -236,7 +236,7 @@ class _Problem:
 
     def parameters(self, x: Array) -> Array:
         """Compute the parameters pi (p,) at x."""
-        phi, z = np.asarray(log_cholesky_parameters(self.bodies(x))), x[10 * self.nb :]
+        phi, z = np.asarray(log_cholesky_parameters(jnp.asarray(self.bodies(x)))), x[10 * self.nb :]
         return np.concatenate([phi.ravel(), np.where(self.positive, np.exp(z), z)])
 
     def slopes(self, x: Array) -> Array:
