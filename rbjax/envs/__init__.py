@@ -36,8 +36,8 @@ from rbjax.envs.task import (
     Reward,
     Task,
     Variable,
-    offset,
-    scale,
+    random_offset,
+    random_scale,
     sum_of_rewards,
 )
 from rbjax.envs.terrain import rough_ground
@@ -64,10 +64,10 @@ __all__ = [
     "log_recording",
     "make",
     "observation_sensors",
-    "offset",
+    "random_offset",
+    "random_scale",
     "register",
     "rough_ground",
-    "scale",
     "sum_of_rewards",
     "tasks",
     "terms",

@@ -73,7 +73,7 @@ def term_of(task: Any, term: Any) -> Callable:
     """Return the function of a transition of an observation term."""
     read = sensor_of(term.read) if isinstance(term.read, str) else term.read
     if callable(getattr(read, "columns", None)):
-        return lambda to: read(to.after)
+        return lambda transition: read(transition.after)
     if not callable(read):
         raise InputError(
             f"task {task.name!r}: observation {term.name!r} reads {read!r}, expected a function "

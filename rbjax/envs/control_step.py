@@ -105,7 +105,7 @@ class ControlStep:
             state=state, acceleration=jnp.zeros_like(state.v), step=jnp.int32(0),
             action=jnp.zeros(self.action_size, dtype), ctrl=jnp.asarray(initial(model), dtype),
             variables=variables, drawn=drawn, delays=delays, buffers=buffers,
-            total=jnp.zeros((), dtype),
+            episode_return=jnp.zeros((), dtype),
         )  # fmt: skip
 
     def before_physics(self, own: tuple, params: Params) -> tuple[EnvState, jax.Array, jax.Array]:
@@ -188,22 +188,24 @@ class ControlStep:
         state = last.replace(
             state=motion, acceleration=acceleration, step=step, action=action, ctrl=ctrl
         )
-        to = self.transition(last, state, params)
+        transition = self.transition(last, state, params)
         for v in task.variables:
             if v.measure is not None:
-                variables[v.name] = _alike(v, v.measure(to), variables)
-        to = dataclasses.replace(to, variables=variables)
+                variables[v.name] = _alike(v, v.measure(transition), variables)
+        transition = dataclasses.replace(transition, variables=variables)
         numbers = [motion.q, motion.v, action, *([] if motion.x is None else [motion.x])]
         failed = ~jnp.all(jnp.isfinite(jnp.concatenate(numbers)))
         terminated = failed
         for name, ends in task.terminations.items():
-            terminated = terminated | check_flag(f"termination {name!r}", task, ends(to))
-        to = dataclasses.replace(to, terminated=terminated)
+            terminated = terminated | check_flag(f"termination {name!r}", task, ends(transition))
+        transition = dataclasses.replace(transition, terminated=terminated)
         rewards = {}
         for r in task.rewards:
-            found = check_number(f"reward term {r.name!r}", task, r.read(to))
+            found = check_number(f"reward term {r.name!r}", task, r.read(transition))
             rewards[r.name] = params.weights[r.name] * found
-        total = check_number("total", task, task.total(rewards, self.dt * task.decimation))
+        total = check_number(
+            "total_reward", task, task.total_reward(rewards, self.dt * task.decimation)
+        )
         failed = failed | ~jnp.isfinite(total)
         terminated = terminated | failed
         rewards = {name: jnp.where(failed, 0.0, r) for name, r in rewards.items()}
@@ -211,13 +213,13 @@ class ControlStep:
         truncated = (step >= task.episode) & ~terminated
         for i, v in enumerate(task.variables):
             if v.update is not None:
-                new = v.update(jax.random.fold_in(key, i), to)
+                new = v.update(jax.random.fold_in(key, i), transition)
                 variables = {**variables, v.name: _alike(v, new, variables)}
-                to = dataclasses.replace(to, variables=variables)
-        state = state.replace(variables=variables, total=state.total + reward)
+                transition = dataclasses.replace(transition, variables=variables)
+        state = state.replace(variables=variables, episode_return=state.episode_return + reward)
         info = {
             "terminated": terminated, "truncated": truncated, "failed": failed,
-            "rewards": rewards, "return": state.total, "length": step,
+            "rewards": rewards, "return": state.episode_return, "length": step,
         }  # fmt: skip
         return state, reward, terminated | truncated, info
 
@@ -255,10 +257,12 @@ class ControlStep:
             before, now = ((x.state, x.action, x.ctrl) for x in (last, state))
             before = select(is_reset, now, before)
             last = last.replace(state=before[0], action=before[1], ctrl=before[2])
-        to = self.transition(last, state, params)
+        transition = self.transition(last, state, params)
         buffers, values = dict(state.buffers), {}
         for name, term, read in self.unique_terms:
-            value = check_vector(f"observation {term.name!r}", self.task, read(to), self.dtype)
+            value = check_vector(
+                f"observation {term.name!r}", self.task, read(transition), self.dtype
+            )
             check_noise(self.task, term, value)
             if name in self.delayed:
                 first = jnp.broadcast_to(value, (self.delayed[name][1] + 1, *value.shape))

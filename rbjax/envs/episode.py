@@ -46,7 +46,7 @@ class EnvState(Record):
     drawn: name -> value of a randomisation.
     delays: "GROUP/NAME" of a delayed observation, or "action" -> delay in control steps, int32.
     buffers: "GROUP/NAME" of a delayed observation, or "action" -> its last values, newest first.
-    total: sum of the rewards since the reset.
+    episode_return: sum of the rewards since the reset.
     """
 
     state: State
@@ -58,4 +58,4 @@ class EnvState(Record):
     drawn: dict[str, Any]
     delays: dict[str, jax.Array]
     buffers: dict[str, jax.Array]
-    total: jax.Array
+    episode_return: jax.Array

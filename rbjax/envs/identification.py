@@ -179,8 +179,10 @@ def _size(env: Environment, term: Observation) -> int:
     def value(data: jax.Array) -> jax.Array:
         sample = ControlStep(env.task)
         state = sample.begin(key_of(data), env.default_params)
-        to = sample.transition(state, state, sample.with_drawn(env.default_params, state.drawn))
-        return check_vector("", env.task, term_of(env.task, term)(to), env.dtype)
+        transition = sample.transition(
+            state, state, sample.with_drawn(env.default_params, state.drawn)
+        )
+        return check_vector("", env.task, term_of(env.task, term)(transition), env.dtype)
 
     return jax.eval_shape(value, jax.ShapeDtypeStruct((2,), jnp.uint32)).shape[0]
 
@@ -194,11 +196,11 @@ def _sensor(
     def value(context: Context, action: Any, own: Mapping[str, Any], step: Any) -> jax.Array:
         dtype = context.q.dtype
         ctrl = jnp.zeros(task.model.nu, dtype) if context.ctrl is None else context.ctrl
-        to = Transition(
+        transition = Transition(
             before=context.state, after=context, action=action, last_action=action, ctrl=ctrl,
             last_ctrl=ctrl, variables=dict(own), params=params, dt=env.dt, step=step,
         )  # fmt: skip
-        return check_vector(f"observation {term.name!r}", task, read(to), dtype)
+        return check_vector(f"observation {term.name!r}", task, read(transition), dtype)
 
     def begin(data: jax.Array) -> dict[str, Any]:
         return ControlStep(task).begin(key_of(data), env.default_params).variables

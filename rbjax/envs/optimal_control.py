@@ -98,7 +98,15 @@ class TaskSystem(System):
         due = self.example(None).now
         changes = {
             name: jax.tree.map(lambda y, x: jnp.asarray(x, y.dtype), getattr(due, name), given)
-            for name in ("state", "acceleration", "step", "action", "ctrl", "variables", "total")
+            for name in (
+                "state",
+                "acceleration",
+                "step",
+                "action",
+                "ctrl",
+                "variables",
+                "episode_return",
+            )
             for given in [getattr(state, name)]
         }
         return dataclasses.replace(due, **changes)
@@ -264,7 +272,7 @@ def deterministic_step(task: Task, params: Params, dtype: Any) -> ControlStep:
     plain = dataclasses.replace(
         task, events=(), randomise=(), action_delay=(0, 0),
         action=_Inside(task.action, middle, np.where(limited, inside, 1.0)),
-        observations={"policy": (Observation("action", lambda to: to.action),)},
+        observations={"policy": (Observation("action", lambda transition: transition.action),)},
     )  # fmt: skip
     sample = ControlStep(plain)
     variables = [_without_drawing(sample, v, params) for v in task.variables]

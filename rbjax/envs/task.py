@@ -113,7 +113,7 @@ class Randomisation:
 
     Example:
         >>> import rbjax as rb
-        >>> rb.envs.scale("masses", lambda model: model.bodies.mass, 0.9, 1.1).name
+        >>> rb.envs.random_scale("masses", lambda model: model.bodies.mass, 0.9, 1.1).name
         'masses'
     """
 
@@ -122,7 +122,7 @@ class Randomisation:
     apply: Callable[[Model, jax.Array], Model]
 
 
-def scale(
+def random_scale(
     name: str, where: Callable[[Model], Any], low: Any, high: Any, *, each: bool = False
 ) -> Randomisation:
     """Return a `Randomisation` that multiplies a leaf of the model by a uniform factor.
@@ -137,7 +137,7 @@ def scale(
 
     Example:
         >>> import rbjax as rb
-        >>> factor = rb.envs.scale("damping", lambda model: model.joints.damping, 0.5, 2.0)
+        >>> factor = rb.envs.random_scale("damping", lambda model: model.joints.damping, 0.5, 2.0)
         >>> factor.apply(rb.load("cart_pole"), 2.0).joints.damping.shape
         (2,)
     """
@@ -147,7 +147,7 @@ def scale(
     )  # fmt: skip
 
 
-def offset(
+def random_offset(
     name: str, where: Callable[[Model], Any], low: Any, high: Any, *, each: bool = False
 ) -> Randomisation:
     """Return a `Randomisation` that adds a uniform number to a leaf of the model.
@@ -162,7 +162,8 @@ def offset(
 
     Example:
         >>> import rbjax as rb
-        >>> shift = rb.envs.offset("com", lambda model: model.bodies.com, -0.05, 0.05, each=True)
+        >>> shift = rb.envs.random_offset(
+        ...     "com", lambda model: model.bodies.com, -0.05, 0.05, each=True)
         >>> shift.name
         'com'
     """
@@ -223,7 +224,7 @@ class Task:
             None for the law of the model.
         episode: control steps in an episode; then it is truncated.
         values: name -> number or array: further numbers of the task, `Params.values`.
-        total: function (weighted reward terms, dt) that returns the reward of a step.
+        total_reward: function (weighted reward terms, dt) that returns the reward of a step.
         curriculum: function (params, progress) that returns the params at a progress in 0..1 of the
             training; or None.
         tracked: name of the body that a viewer follows; None for the first body.
@@ -231,10 +232,11 @@ class Task:
     Example:
         >>> import jax.numpy as jnp, rbjax as rb
         >>> model = rb.load("pendulum")
+        >>> speed = rb.envs.Observation("speed", lambda transition: transition.after.v)
+        >>> height = rb.envs.Reward("height", lambda transition: -jnp.cos(transition.after.q[0]))
         >>> task = rb.envs.Task(
         ...     "swing_up", model, start=lambda key, params: model.random_state(key),
-        ...     observations={"policy": (rb.envs.Observation("v", lambda to: to.after.v),)},
-        ...     rewards=(rb.envs.Reward("height", lambda to: -jnp.cos(to.after.q[0])),))
+        ...     observations={"policy": (speed,)}, rewards=(height,))
         >>> rb.envs.Environment(task).observation_size
         1
     """
@@ -256,6 +258,6 @@ class Task:
     contact: Any = None
     episode: int = 1000
     values: Mapping[str, Any] = field(default_factory=dict)
-    total: Callable[[Mapping[str, jax.Array], Any], Any] = sum_of_rewards
+    total_reward: Callable[[Mapping[str, jax.Array], Any], Any] = sum_of_rewards
     curriculum: Callable[[Params, Any], Params] | None = None
     tracked: str | None = None

@@ -119,7 +119,7 @@ def test_action_delay():
 
 @pytest.mark.parametrize("kernel", [None, False])
 def test_randomisation_holds_for_an_episode(kernel):
-    masses = rb.envs.scale("masses", lambda model: model.bodies.mass, 0.5, 2.0)
+    masses = rb.envs.random_scale("masses", lambda model: model.bodies.mass, 0.5, 2.0)
     env = rb.envs.Environment(task(randomise=(masses,)), kernel=kernel)
     _, state = states(env)
     assert len(set(np.asarray(state.drawn["masses"]).tolist())) == 3
@@ -325,7 +325,7 @@ def test_a_reward_that_is_not_finite_ends_the_episode():
 def test_randomised_entries_share_a_factor_or_not():
     low, high = jnp.array([1.0, 2.0]), jnp.array([2.0, 4.0])
     for each in (False, True):
-        draw = rb.envs.scale("m", lambda m: m.bodies.mass, low, high, each=each).draw
+        draw = rb.envs.random_scale("m", lambda m: m.bodies.mass, low, high, each=each).draw
         env = rb.envs.Environment(task())
         values = jax.vmap(lambda key: draw(key, env.default_params))(keys(50))  # noqa: B023
         share = (values - low) / (high - low)

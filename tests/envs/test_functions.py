@@ -31,15 +31,15 @@ def test_scale_and_offset():
     def both(model):
         return [model.bodies.mass, model.bodies.inertia]
 
-    value, model = drawn(rb.envs.scale("load", both, 0.5, 2.0))
+    value, model = drawn(rb.envs.random_scale("load", both, 0.5, 2.0))
     assert value.shape == () and 0.5 <= value <= 2
     for new, old in zip(both(model), both(QUADRUPED), strict=True):
         np.testing.assert_allclose(new, value * np.asarray(old))
     low, high = np.zeros(QUADRUPED.nb), np.arange(QUADRUPED.nb) / 10
-    value, model = drawn(rb.envs.offset("added", lambda m: m.bodies.mass, low, high))
+    value, model = drawn(rb.envs.random_offset("added", lambda m: m.bodies.mass, low, high))
     assert value[0] == 0 and (value <= high).all() and (value[1:] > 0).all()
     np.testing.assert_allclose(model.bodies.mass - QUADRUPED.bodies.mass, value, atol=1e-15)
-    value, _ = drawn(rb.envs.scale("each", lambda m: m.bodies.mass, 0.9, 1.1, each=True))
+    value, _ = drawn(rb.envs.random_scale("each", lambda m: m.bodies.mass, 0.9, 1.1, each=True))
     assert len(set(value.tolist())) == QUADRUPED.nb
 
 

@@ -172,7 +172,7 @@ def _classes() -> tuple[type, type]:
         def reset(self, rng: jax.Array) -> State:
             rng, key = jax.random.split(rng)
             obs, state = self.environment.reset(key, self.params)
-            zero = jnp.zeros_like(state.total)
+            zero = jnp.zeros_like(state.episode_return)
             return State(
                 state, self.renamed(obs), zero, zero, self.metrics(None, zero), {"rng": rng}
             )
@@ -233,7 +233,7 @@ def _classes() -> tuple[type, type]:
         def reset(self, rng: jax.Array) -> State:
             keys = jax.vmap(jax.random.split)(rng)
             obs, state = self._map(self.environment.reset, keys[:, 1])
-            zero = jnp.zeros_like(state.total)
+            zero = jnp.zeros_like(state.episode_return)
             metrics = self.env.metrics(None, zero)
             info = {
                 "rng": keys[:, 0], "steps": zero, "truncation": zero, "time_out": zero,

@@ -300,7 +300,7 @@ def _classes() -> tuple[type, type, type]:
 
         def initial(self, rng: Any, params: Params | None = None) -> FunctionalState:
             obs, episode = self.environment.reset(rng, self._given(params))
-            zero, no = jnp.zeros_like(episode.total), jnp.zeros((), bool)
+            zero, no = jnp.zeros_like(episode.episode_return), jnp.zeros((), bool)
             rewards = {r.name: zero for r in self.environment.task.rewards}
             return FunctionalState(episode, obs, zero, no, no, no, rewards)
 

@@ -98,7 +98,7 @@ def _class() -> type:
             """Begin new episodes in all environments."""
             begun = self._begin(self._key, self.params)
             # committed to its device, as tensors are; else the second step would be compiled again
-            self._key, obs, self.state = jax.device_put(begun, *begun[2].total.devices())
+            self._key, obs, self.state = jax.device_put(begun, *begun[2].episode_return.devices())
             self._obs = self._tensors(obs)
             return self._obs, {}
 
@@ -125,7 +125,7 @@ def _class() -> type:
         @property
         def device(self) -> Any:
             """The device of the tensors."""
-            return torch.from_dlpack(self.state.total).device
+            return torch.from_dlpack(self.state.episode_return).device
 
         @property
         def episode_length_buf(self) -> Any:

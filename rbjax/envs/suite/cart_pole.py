@@ -66,13 +66,13 @@ def _task(name: str, start: Callable[[jax.Array, Params], State], sparse: bool) 
         start,
         {
             "policy": (
-                Observation("cart_position", lambda to: to.after.q[0]),
+                Observation("cart_position", lambda transition: transition.after.q[0]),
                 Observation("pole_direction", pole_direction),
-                Observation("velocity", lambda to: to.after.v),
+                Observation("velocity", lambda transition: transition.after.v),
             )
         },
         _SPARSE if sparse else _DENSE,
-        total=product_of_rewards,
+        total_reward=product_of_rewards,
         tracked="cart",
     )
 
@@ -89,39 +89,39 @@ def _hanging(key: jax.Array, params: Params) -> State:
     return State(jnp.stack([x[0], math.pi + x[1]]), x[2:])
 
 
-def pole_direction(to: Any) -> jax.Array:
+def pole_direction(transition: Any) -> jax.Array:
     """Observe the height and the horizontal offset (2,) of the tip of a pole of length 1."""
-    return jnp.stack([jnp.cos(to.after.q[1]), jnp.sin(to.after.q[1])])
+    return jnp.stack([jnp.cos(transition.after.q[1]), jnp.sin(transition.after.q[1])])
 
 
-def upright(to: Any) -> jax.Array:
+def upright(transition: Any) -> jax.Array:
     """Reward the height of the pole: 1 up, 0 down."""
-    return (1 + jnp.cos(to.after.q[1])) / 2
+    return (1 + jnp.cos(transition.after.q[1])) / 2
 
 
-def centered(to: Any) -> jax.Array:
+def centered(transition: Any) -> jax.Array:
     """Reward a cart near the center of the rail."""
-    return (1 + tolerance(to.after.q[0], margin=2)) / 2
+    return (1 + tolerance(transition.after.q[0], margin=2)) / 2
 
 
-def small_control(to: Any) -> jax.Array:
+def small_control(transition: Any) -> jax.Array:
     """Reward small controls."""
-    return (4 + tolerance(to.ctrl[0], (0, 0), 1, "quadratic", 0.0)) / 5
+    return (4 + tolerance(transition.ctrl[0], (0, 0), 1, "quadratic", 0.0)) / 5
 
 
-def small_velocity(to: Any) -> jax.Array:
+def small_velocity(transition: Any) -> jax.Array:
     """Reward a slow pole."""
-    return (1 + tolerance(to.after.v[1], margin=5)) / 2
+    return (1 + tolerance(transition.after.v[1], margin=5)) / 2
 
 
-def cart_in_bounds(to: Any) -> jax.Array:
+def cart_in_bounds(transition: Any) -> jax.Array:
     """Reward 1 if the cart is within 0.25 m of the center."""
-    return tolerance(to.after.q[0], (-0.25, 0.25))
+    return tolerance(transition.after.q[0], (-0.25, 0.25))
 
 
-def angle_in_bounds(to: Any) -> jax.Array:
+def angle_in_bounds(transition: Any) -> jax.Array:
     """Reward 1 if the pole is within 5.7 degrees of the upright position."""
-    return tolerance(jnp.cos(to.after.q[1]), (0.995, math.inf))
+    return tolerance(jnp.cos(transition.after.q[1]), (0.995, math.inf))
 
 
 _DENSE = tuple(Reward(f.__name__, f) for f in (upright, centered, small_control, small_velocity))

@@ -21,7 +21,7 @@ from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
-from rbjax.envs.task import Observation, Reward, Task, Variable, scale
+from rbjax.envs.task import Observation, Reward, Task, Variable, random_scale
 from rbjax.envs.transition import Transition
 from rbjax.flexible.beams import Beam, beam
 from rbjax.flexible.cross_section import rectangle
@@ -79,15 +79,19 @@ def damp_flexible_arm(*, randomise: bool = True) -> Task:
         {'critic': 15, 'policy': 5}
     """
     measured = (
-        Observation("goal_error", lambda to: to.after.q[0] - to.variables["goal"], noise=0.003),
-        Observation("rate", lambda to: to.after.v[0], noise=0.02),
+        Observation(
+            "goal_error",
+            lambda transition: transition.after.q[0] - transition.variables["goal"],
+            noise=0.003,
+        ),
+        Observation("rate", lambda transition: transition.after.v[0], noise=0.02),
         Observation("strain", strain, noise=(0.005, 0.1)),
-        Observation("last_action", lambda to: to.action),
+        Observation("last_action", lambda transition: transition.action),
     )
     privileged = (
         *(Observation(x.name, x.read) for x in measured),
-        Observation("strip", lambda to: to.after.q[1:]),
-        Observation("strip_rates", lambda to: to.after.v[1:]),
+        Observation("strip", lambda transition: transition.after.q[1:]),
+        Observation("strip_rates", lambda transition: transition.after.v[1:]),
         Observation("payload_error", payload_error),
         Observation("payload_velocity", payload_velocity),
     )
@@ -99,7 +103,7 @@ def damp_flexible_arm(*, randomise: bool = True) -> Task:
         rewards=(
             Reward("reach", reach, 1.0),
             Reward("swing", swing, -0.1),
-            Reward("effort", lambda to: (to.ctrl**2).sum(), -0.02),
+            Reward("effort", lambda transition: (transition.ctrl**2).sum(), -0.02),
             Reward("smooth", terms.action_rate, -0.02),
         ),
         action=Scaled(),
@@ -107,9 +111,9 @@ def damp_flexible_arm(*, randomise: bool = True) -> Task:
         terminations={"overbent": overbent, "left_range": left_range},
         randomise=(
             (
-                scale("stiffness", elasticity, 0.7, 1.4),
-                scale("payload", lambda model: model.bodies.mass, [1.0, 0.5], [1.0, 2.0]),
-                scale("friction", lambda model: model.joints.damping, 0.3, 3.0),
+                random_scale("stiffness", elasticity, 0.7, 1.4),
+                random_scale("payload", lambda model: model.bodies.mass, [1.0, 0.5], [1.0, 2.0]),
+                random_scale("friction", lambda model: model.joints.damping, 0.3, 3.0),
             )
             if randomise
             else ()
@@ -140,53 +144,53 @@ def draw_goal(key: jax.Array, params: Params) -> jax.Array:
     return jax.random.uniform(key, (), params.model.gravity.dtype, low, high)
 
 
-def next_goal(key: jax.Array, to: Transition) -> Any:
+def next_goal(key: jax.Array, transition: Transition) -> Any:
     """Draw a new goal with the probability dt / goal_time."""
     when, where = jax.random.split(key)
-    new = jax.random.uniform(when) < to.dt / to.params.values["goal_time"]
-    return jnp.where(new, draw_goal(where, to.params), to.variables["goal"])
+    new = jax.random.uniform(when) < transition.dt / transition.params.values["goal_time"]
+    return jnp.where(new, draw_goal(where, transition.params), transition.variables["goal"])
 
 
-def strain(to: Transition) -> jax.Array:
+def strain(transition: Transition) -> jax.Array:
     """Compute the curvature of the strip at the hub, 1/m, and its rate. The Legendre polynomials
     are (-1)^j there."""
-    q, v = to.after.q, to.after.v
+    q, v = transition.after.q, transition.after.v
     return jnp.stack([q[1] - q[2] + q[3], v[1] - v[2] + v[3]])
 
 
-def payload_error(to: Transition) -> jax.Array:
+def payload_error(transition: Transition) -> jax.Array:
     """Compute the payload's position over the length of the arm, less its position at the goal,
     (2,)."""
-    at, goal = to.after.body("payload").position.array[:2], to.variables["goal"]
+    at, goal = transition.after.body("payload").position.array[:2], transition.variables["goal"]
     return at / (LENGTH + HUB) - jnp.stack([jnp.cos(goal), jnp.sin(goal)])
 
 
-def payload_velocity(to: Transition) -> jax.Array:
+def payload_velocity(transition: Transition) -> jax.Array:
     """Compute the velocity of the payload, (2,) m/s."""
-    return to.after.body("payload").velocity.array[:2]
+    return transition.after.body("payload").velocity.array[:2]
 
 
-def reach(to: Transition) -> Any:
+def reach(transition: Transition) -> Any:
     """Compute 1 / (1 + (e / 0.1)^2) with the payload's distance e from the goal, over the length of
     the arm."""
-    e = payload_error(to)
+    e = payload_error(transition)
     return 1 / (1 + 100.0 * (e * e).sum())
 
 
-def swing(to: Transition) -> Any:
+def swing(transition: Transition) -> Any:
     """Compute the square of the payload's velocity near the goal, (m/s)^2."""
-    v = payload_velocity(to)
-    return reach(to) * (v * v).sum()
+    v = payload_velocity(transition)
+    return reach(transition) * (v * v).sum()
 
 
-def overbent(to: Transition) -> Any:
+def overbent(transition: Transition) -> Any:
     """Return True if the curvature at the hub is too large."""
-    return jnp.abs(strain(to)[0]) > to.params.values["largest_curvature"]
+    return jnp.abs(strain(transition)[0]) > transition.params.values["largest_curvature"]
 
 
-def left_range(to: Transition) -> Any:
+def left_range(transition: Transition) -> Any:
     """Return True if the hub is out of its range."""
-    return jnp.abs(to.after.q[0]) > to.params.values["range"]
+    return jnp.abs(transition.after.q[0]) > transition.params.values["range"]
 
 
 def elasticity(model: Model) -> list:

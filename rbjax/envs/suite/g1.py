@@ -130,10 +130,10 @@ def _policy() -> tuple[Observation, ...]:
         Observation("velocity", Velocimeter(PELVIS), noise=0.1),
         Observation("gyro", Gyro(PELVIS), noise=0.2),
         Observation("gravity", terms.gravity_direction(PELVIS), noise=0.05),
-        Observation("command", lambda t: t.variables["command"]),
+        Observation("command", lambda transition: transition.variables["command"]),
         Observation("joint_positions", terms.joint_offsets(HOME), noise=0.03),
         Observation("joint_velocities", terms.joint_velocities(len(HOME)), noise=1.5),
-        Observation("last_action", lambda t: t.action),
+        Observation("last_action", lambda transition: transition.action),
         Observation("phase", terms.phase_cosines),
     )
 
@@ -148,11 +148,11 @@ def _hidden(feet: terms.Feet) -> tuple[Observation, ...]:
         Observation("angular_velocity", AngularVelocity(PELVIS)),
         Observation("true_joint_positions", terms.joint_offsets(HOME)),
         Observation("true_joint_velocities", terms.joint_velocities(len(HOME))),
-        Observation("height", lambda t: t.after.q[2]),
+        Observation("height", lambda transition: transition.after.q[2]),
         Observation("actuator_forces", terms.forces),
-        Observation("contact", lambda t: t.variables["last_contact"]),
+        Observation("contact", lambda transition: transition.variables["last_contact"]),
         Observation("foot_velocities", feet.velocities),
-        Observation("air_time", lambda t: t.variables["air_time"]),
+        Observation("air_time", lambda transition: transition.variables["air_time"]),
     )
 
 
@@ -193,8 +193,8 @@ def _hip_deviation(model: Model) -> terms.Term:
     """Return the term of hip roll and yaw; the roll is free if the lateral command is large."""
     roll, yaw = (_joints(model, [kind]) for kind in ("hip_roll", "hip_yaw"))
 
-    def weights(t: Any) -> jax.Array:
-        free = t.variables["command"][1] > LATERAL
+    def weights(transition: Any) -> jax.Array:
+        free = transition.variables["command"][1] > LATERAL
         return jnp.where(free, jnp.asarray(yaw), jnp.asarray(roll + yaw))
 
     return terms.joint_deviation(HOME, weights)

@@ -116,7 +116,8 @@ def _task(
         randomise=_randomisations(model) if randomise else (),
         contact=None if iterations is None else SoftContact(iterations),
         decimation=DECIMATION, dt=DT / DECIMATION, episode=1000,
-        values=_values(pushes), total=terms.clipped_sum(0.0, 1e4, times_dt=True), tracked=BODY,
+        values=_values(pushes), total_reward=terms.clipped_sum(0.0, 1e4, times_dt=True),
+        tracked=BODY,
     )  # fmt: skip
 
 
@@ -140,19 +141,19 @@ def _policy() -> tuple[Observation, ...]:
         Observation("gravity", terms.gravity_direction(IMU), noise=0.05),
         Observation("joint_positions", terms.joint_offsets(HOME), noise=0.03),
         Observation("joint_velocities", terms.joint_velocities(len(HOME)), noise=1.5),
-        Observation("last_action", lambda t: t.action),
-        Observation("command", lambda t: t.variables["command"]),
+        Observation("last_action", lambda transition: transition.action),
+        Observation("command", lambda transition: transition.variables["command"]),
     )
 
 
 def _hidden(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
     """Return the observations that a robot cannot measure."""
 
-    def push(t: Any) -> jax.Array:
+    def push(transition: Any) -> jax.Array:
         if not pushes:
-            return jnp.zeros(4, t.after.q.dtype)
-        a = t.variables["push"]
-        mass = t.model.bodies.mass.sum()
+            return jnp.zeros(4, transition.after.q.dtype)
+        a = transition.variables["push"]
+        mass = transition.model.bodies.mass.sum()
         return jnp.concatenate([mass * a, jnp.any(a != 0)[None].astype(a.dtype)])
 
     return (
@@ -164,9 +165,9 @@ def _hidden(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
         Observation("true_joint_positions", terms.joint_offsets(HOME)),
         Observation("true_joint_velocities", terms.joint_velocities(len(HOME))),
         Observation("actuator_forces", terms.forces),
-        Observation("contact", lambda t: t.variables["last_contact"]),
+        Observation("contact", lambda transition: transition.variables["last_contact"]),
         Observation("foot_velocities", feet.velocities),
-        Observation("air_time", lambda t: t.variables["air_time"]),
+        Observation("air_time", lambda transition: transition.variables["air_time"]),
         Observation("push", push),
     )
 

@@ -79,8 +79,8 @@ def hopper_hop(*, touch: bool = True) -> Task:
 def _task(name: str, second: Any, touch: bool) -> Task:
     model = load(robot_file("hopper"))
     terms = [
-        Observation("position", lambda to: to.after.q[1:]),
-        Observation("velocity", lambda to: to.after.v),
+        Observation("position", lambda transition: transition.after.q[1:]),
+        Observation("velocity", lambda transition: transition.after.v),
     ]
     if touch:
         terms.append(Observation("touch", foot_forces))
@@ -92,21 +92,23 @@ def _task(name: str, second: Any, touch: bool) -> Task:
         (Reward("standing", standing), Reward(second.__name__, second)),
         decimation=4,
         values={"standing_margin": 0.0},
-        total=product_of_rewards,
+        total_reward=product_of_rewards,
         curriculum=narrow_margin,
         tracked="torso",
     )
 
 
-def foot_forces(to: Any) -> jax.Array:
+def foot_forces(transition: Any) -> jax.Array:
     """Observe log(1 + f) (2,) of the normal forces f under toe and heel, N."""
-    return jnp.log1p(jnp.concatenate([_TOE(to.after), _HEEL(to.after)]))
+    return jnp.log1p(jnp.concatenate([_TOE(transition.after), _HEEL(transition.after)]))
 
 
-def standing(to: Any) -> jax.Array:
+def standing(transition: Any) -> jax.Array:
     """Reward a torso that is high over the foot."""
-    torso, foot = (to.after.frame(Frame(center=name)).position[2] for name in ("torso", "foot"))
-    margin = to.params.values["standing_margin"]
+    torso, foot = (
+        transition.after.frame(Frame(center=name)).position[2] for name in ("torso", "foot")
+    )
+    margin = transition.params.values["standing_margin"]
     return tolerance(torso - foot, (STANDING_HEIGHT, 2.0), margin)
 
 
@@ -116,12 +118,12 @@ def narrow_margin(params: Params, progress: Any) -> Params:
     return params.replace(values={**params.values, "standing_margin": margin})
 
 
-def hopping(to: Any) -> jax.Array:
+def hopping(transition: Any) -> jax.Array:
     """Reward the forward speed of the center of mass."""
-    speed, bounds = _VELOCITY(to.after)[0], (HOPPING_SPEED, math.inf)
+    speed, bounds = _VELOCITY(transition.after)[0], (HOPPING_SPEED, math.inf)
     return tolerance(speed, bounds, HOPPING_SPEED / 2, "linear", 0.5)
 
 
-def small_control(to: Any) -> jax.Array:
+def small_control(transition: Any) -> jax.Array:
     """Reward small controls."""
-    return (4 + tolerance(to.ctrl, (0, 0), 1, "quadratic", 0.0).mean()) / 5
+    return (4 + tolerance(transition.ctrl, (0, 0), 1, "quadratic", 0.0).mean()) / 5

@@ -25,7 +25,7 @@ from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
-from rbjax.envs.task import Observation, Reward, Task, scale
+from rbjax.envs.task import Observation, Reward, Task, random_scale
 from rbjax.envs.transition import Transition
 from rbjax.loading import load
 from rbjax.model import Model, State
@@ -101,10 +101,12 @@ def race_on_ice(*, randomise: bool = True) -> Task:
             "policy": (
                 Observation("place", place_on_track, noise=(0.01, 0.01, 0.01)),
                 Observation("velocity", velocity, noise=(0.05, 0.05, 0.05)),
-                Observation("steering", lambda to: to.after.q[3], noise=0.005),
-                Observation("rims", lambda to: RADIUS * to.after.v[4:6], noise=0.05),
+                Observation("steering", lambda transition: transition.after.q[3], noise=0.005),
+                Observation(
+                    "rims", lambda transition: RADIUS * transition.after.v[4:6], noise=0.05
+                ),
                 Observation("ahead", points_ahead, noise=0.01),
-                Observation("last_action", lambda to: to.action),
+                Observation("last_action", lambda transition: transition.action),
             )
         },
         rewards=(
@@ -117,9 +119,11 @@ def race_on_ice(*, randomise: bool = True) -> Task:
         terminations={"left_track": left_track, "turned_around": turned_around},
         randomise=(
             (
-                scale("friction", lambda m: [law.friction for law in laws(m)], 0.6, 1.2),
-                scale("slip_stiffness", lambda m: [law.stiffness for law in laws(m)], 0.7, 1.3),
-                scale("load", loads, 0.9, 1.2),
+                random_scale("friction", lambda m: [law.friction for law in laws(m)], 0.6, 1.2),
+                random_scale(
+                    "slip_stiffness", lambda m: [law.stiffness for law in laws(m)], 0.7, 1.3
+                ),
+                random_scale("load", loads, 0.9, 1.2),
             )
             if randomise
             else ()
@@ -191,32 +195,34 @@ def nearest(track: jax.Array, p: jax.Array) -> Nearest:
     return Nearest(u, t, offset, curvature, rate)
 
 
-def _nearest(to: Transition) -> Nearest:
-    return to.after.once(nearest, lambda: nearest(to.params.values["track"], to.after.q[:2]))
+def _nearest(transition: Transition) -> Nearest:
+    return transition.after.once(
+        nearest, lambda: nearest(transition.params.values["track"], transition.after.q[:2])
+    )
 
 
-def _direction(to: Transition) -> tuple[Any, Any]:
+def _direction(transition: Transition) -> tuple[Any, Any]:
     """Compute cos and sin of the car's heading relative to the track."""
-    t, heading = _nearest(to).tangent, to.after.q[2]
+    t, heading = _nearest(transition).tangent, transition.after.q[2]
     c, s = jnp.cos(heading), jnp.sin(heading)
     return t[0] * c + t[1] * s, t[0] * s - t[1] * c
 
 
-def place_on_track(to: Transition) -> jax.Array:
+def place_on_track(transition: Transition) -> jax.Array:
     """Compute the distance from the centre line in m, cos and sin of the direction."""
-    return jnp.stack([_nearest(to).offset, *_direction(to)])
+    return jnp.stack([_nearest(transition).offset, *_direction(transition)])
 
 
-def velocity(to: Transition) -> jax.Array:
+def velocity(transition: Transition) -> jax.Array:
     """Compute the velocities of the car ahead and to the left, m/s, and its turning rate, rad/s."""
-    c, s, v = jnp.cos(to.after.q[2]), jnp.sin(to.after.q[2]), to.after.v
+    c, s, v = jnp.cos(transition.after.q[2]), jnp.sin(transition.after.q[2]), transition.after.v
     return jnp.stack([c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]])
 
 
-def points_ahead(to: Transition) -> jax.Array:
+def points_ahead(transition: Transition) -> jax.Array:
     """Compute the points of the centre line about `AHEAD` m further on, (12,) in the car's axes."""
-    near, q = _nearest(to), to.after.q
-    track = to.params.values["track"].astype(q.dtype)
+    near, q = _nearest(transition), transition.after.q
+    track = transition.params.values["track"].astype(q.dtype)
     c, s = jnp.cos(q[2]), jnp.sin(q[2])
     found = []
     for distance in AHEAD:
@@ -226,26 +232,26 @@ def points_ahead(to: Transition) -> jax.Array:
     return jnp.stack(found)
 
 
-def progress(to: Transition) -> Any:
+def progress(transition: Transition) -> Any:
     """Compute the speed along the centre line, m/s: t . v / (1 - curvature offset)."""
-    near = _nearest(to)
-    ahead = near.tangent[0] * to.after.v[0] + near.tangent[1] * to.after.v[1]
+    near = _nearest(transition)
+    ahead = near.tangent[0] * transition.after.v[0] + near.tangent[1] * transition.after.v[1]
     return ahead / jnp.maximum(1 - near.curvature * near.offset, 0.2)
 
 
-def edge(to: Transition) -> Any:
+def edge(transition: Transition) -> Any:
     """Compute (offset / half width)^6, which is near 1 only near the edge of the track."""
-    return (_nearest(to).offset / to.params.values["half_width"]) ** 6
+    return (_nearest(transition).offset / transition.params.values["half_width"]) ** 6
 
 
-def left_track(to: Transition) -> Any:
+def left_track(transition: Transition) -> Any:
     """Return True if the centre of mass is outside of the track."""
-    return jnp.abs(_nearest(to).offset) > to.params.values["half_width"]
+    return jnp.abs(_nearest(transition).offset) > transition.params.values["half_width"]
 
 
-def turned_around(to: Transition) -> Any:
+def turned_around(transition: Transition) -> Any:
     """Return True if the car points backwards along the track."""
-    return _direction(to)[0] < -0.3
+    return _direction(transition)[0] < -0.3
 
 
 def start(key: jax.Array, params: Params) -> State:

@@ -67,9 +67,11 @@ def panda_pick_cube(*, orientation: bool = False) -> Task:
             key, (3,), minval=low, maxval=high
         )
 
-    def robot_target(to: Any) -> jax.Array:
+    def robot_target(transition: Any) -> jax.Array:
         """Reward an arm near its home."""
-        return 1 - jnp.tanh(norm(to.after.q[:ARM] - jnp.asarray(q_home[:ARM], to.after.q.dtype)))
+        return 1 - jnp.tanh(
+            norm(transition.after.q[:ARM] - jnp.asarray(q_home[:ARM], transition.after.q.dtype))
+        )
 
     variables = [
         Variable("target", target),
@@ -93,7 +95,7 @@ def panda_pick_cube(*, orientation: bool = False) -> Task:
         terminations={"out_of_bounds": out_of_bounds},
         decimation=4,
         episode=150,
-        total=clipped_sum(-1e4, 1e4),
+        total_reward=clipped_sum(-1e4, 1e4),
         tracked="hand",
     )
 
@@ -107,71 +109,82 @@ def tilted(key: jax.Array, params: Params) -> jax.Array:
     return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * unit])
 
 
-def _rows(R: Mat3, first: int, to: Any) -> jax.Array:
+def _rows(R: Mat3, first: int, transition: Any) -> jax.Array:
     """Return two rows of a rotation matrix (6,)."""
-    x = [jnp.asarray(R[i], to.after.q.dtype) for i in range(first, first + 6)]
+    x = [jnp.asarray(R[i], transition.after.q.dtype) for i in range(first, first + 6)]
     return jnp.stack(x)
 
 
-def _box(to: Any) -> jax.Array:
-    return to.after.body("cube").position.array
+def _box(transition: Any) -> jax.Array:
+    return transition.after.body("cube").position.array
 
 
-def _gripper(to: Any) -> jax.Array:
-    return to.after.site("gripper").position.array
+def _gripper(transition: Any) -> jax.Array:
+    return transition.after.site("gripper").position.array
 
 
-def attitude_error(to: Any) -> jax.Array:
+def attitude_error(transition: Any) -> jax.Array:
     """Observe the first two rows (6,) of R_target - R_box."""
-    quaternion = to.variables.get("target_attitude")
+    quaternion = transition.variables.get("target_attitude")
     goal = Mat3.identity() if quaternion is None else quaternion_matrix(*quaternion)
-    return _rows(goal, 0, to) - _rows(to.after.body("cube").rotation, 0, to)
+    return _rows(goal, 0, transition) - _rows(transition.after.body("cube").rotation, 0, transition)
 
 
-def servo_error(to: Any) -> jax.Array:
+def servo_error(transition: Any) -> jax.Array:
     """Observe the controls minus the coordinates that they drive (8,)."""
-    return to.ctrl - to.after.q[: to.model.nu]
+    return transition.ctrl - transition.after.q[: transition.model.nu]
 
 
 OBSERVATIONS = (
-    Observation("q", lambda to: to.after.q),
-    Observation("v", lambda to: to.after.v),
+    Observation("q", lambda transition: transition.after.q),
+    Observation("v", lambda transition: transition.after.v),
     Observation("gripper", _gripper),
-    Observation("gripper_attitude", lambda to: _rows(to.after.site("gripper").rotation, 3, to)),
-    Observation("box_attitude", lambda to: _rows(to.after.body("cube").rotation, 3, to)),
-    Observation("box_from_gripper", lambda to: _box(to) - _gripper(to)),
-    Observation("target_from_box", lambda to: to.variables["target"] - _box(to)),
+    Observation(
+        "gripper_attitude",
+        lambda transition: _rows(transition.after.site("gripper").rotation, 3, transition),
+    ),
+    Observation(
+        "box_attitude",
+        lambda transition: _rows(transition.after.body("cube").rotation, 3, transition),
+    ),
+    Observation("box_from_gripper", lambda transition: _box(transition) - _gripper(transition)),
+    Observation(
+        "target_from_box", lambda transition: transition.variables["target"] - _box(transition)
+    ),
     Observation("attitude_error", attitude_error),
     Observation("servo_error", servo_error),
 )
 
 
-def reached(to: Any) -> jax.Array:
+def reached(transition: Any) -> jax.Array:
     """Return 1 if the gripper has been at the box in this episode, else 0."""
-    near = norm(_box(to) - _gripper(to)) < REACHED
-    return jnp.where(near, 1.0, to.variables["reached"])
+    near = norm(_box(transition) - _gripper(transition)) < REACHED
+    return jnp.where(near, 1.0, transition.variables["reached"])
 
 
-def gripper_box(to: Any) -> jax.Array:
+def gripper_box(transition: Any) -> jax.Array:
     """Reward a gripper at the box."""
-    return 1 - jnp.tanh(5 * norm(_box(to) - _gripper(to)))
+    return 1 - jnp.tanh(5 * norm(_box(transition) - _gripper(transition)))
 
 
-def box_target(to: Any) -> jax.Array:
+def box_target(transition: Any) -> jax.Array:
     """Reward a box at the target, once the gripper has been at it."""
-    distance, turned = norm(to.variables["target"] - _box(to)), norm(attitude_error(to))
-    return (1 - jnp.tanh(5 * (0.9 * distance + 0.1 * turned))) * to.variables["reached"]
+    distance, turned = (
+        norm(transition.variables["target"] - _box(transition)),
+        norm(attitude_error(transition)),
+    )
+    return (1 - jnp.tanh(5 * (0.9 * distance + 0.1 * turned))) * transition.variables["reached"]
 
 
 _ON_THE_FLOOR = any_touching([(geom, "floor") for geom in ("left_tip", "right_tip", "hand")])
 
 
-def no_floor_collision(to: Any) -> jax.Array:
+def no_floor_collision(transition: Any) -> jax.Array:
     """Reward 1 if neither the hand nor a finger touches the floor."""
-    return jnp.where(_ON_THE_FLOOR(to), 0.0, 1.0)
+    return jnp.where(_ON_THE_FLOOR(transition), 0.0, 1.0)
 
 
-def out_of_bounds(to: Any) -> jax.Array:
+def out_of_bounds(transition: Any) -> jax.Array:
     """Check whether the box is farther than 1 m along an axis, or its center below the floor."""
-    p = _box(to)
+    p = _box(transition)
     return jnp.any(jnp.abs(p) > 1.0) | (p[2] < 0.0)

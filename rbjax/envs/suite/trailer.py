@@ -24,7 +24,7 @@ from rbjax.envs.actions import Scaled
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
-from rbjax.envs.task import Observation, Randomisation, Reward, Task, offset
+from rbjax.envs.task import Observation, Randomisation, Reward, Task, random_offset
 from rbjax.envs.transition import Transition
 from rbjax.loading import load
 from rbjax.model import Model, State
@@ -82,22 +82,24 @@ def park_trailer(*, randomise: bool = True) -> Task:
         observations={
             "policy": (
                 Observation("trailer_in_bay", trailer_in_bay, noise=(0.02, 0.02, 0.01, 0.01)),
-                Observation("angles", lambda to: to.after.q[3:5], noise=0.01),
-                Observation("rates", lambda to: to.after.v[3:5], noise=0.02),
+                Observation("angles", lambda transition: transition.after.q[3:5], noise=0.01),
+                Observation("rates", lambda transition: transition.after.v[3:5], noise=0.02),
                 Observation("speed", speed, noise=0.02),
-                Observation("heading_rate", lambda to: to.after.v[2], noise=0.02),
-                Observation("last_action", lambda to: to.action),
+                Observation("heading_rate", lambda transition: transition.after.v[2], noise=0.02),
+                Observation("last_action", lambda transition: transition.action),
             )
         },
         rewards=(
             Reward("near", near, 1.0),
             Reward("parked", parked, 2.0),
-            Reward("hitch", lambda to: to.after.q[4] ** 2, -0.2),
+            Reward("hitch", lambda transition: transition.after.q[4] ** 2, -0.2),
             Reward("smooth", terms.action_rate, -0.1),
         ),
         action=Scaled(),
         terminations={
-            "jackknifed": lambda to: jnp.abs(to.after.q[4]) > to.params.values["jackknife"],
+            "jackknifed": lambda transition: (
+                jnp.abs(transition.after.q[4]) > transition.params.values["jackknife"]
+            ),
             "left_yard": left_yard,
             "hit_bay": hit_bay,
         },
@@ -140,47 +142,47 @@ def lengths(model: Model) -> tuple[jax.Array, jax.Array]:
     return -axle[0], -hitch[0]
 
 
-def trailer_in_bay(to: Transition) -> jax.Array:
+def trailer_in_bay(transition: Transition) -> jax.Array:
     """Compute x, y in m, cos and sin of the heading of the trailer's axle in the bay's axes."""
-    bay, q = to.params.values["bay"], to.after.q
+    bay, q = transition.params.values["bay"], transition.after.q
     x0, y0, turn = (bay[i].astype(q.dtype) for i in range(3))
-    x, y, _ = to.after.site("trailer_axle").position
+    x, y, _ = transition.after.site("trailer_axle").position
     dx, dy = x - x0, y - y0
     c, s = jnp.cos(turn), jnp.sin(turn)
     off = q[2] + q[4] - turn
     return jnp.stack([c * dx + s * dy, c * dy - s * dx, jnp.cos(off), jnp.sin(off)])
 
 
-def speed(to: Transition) -> Any:
+def speed(transition: Transition) -> Any:
     """Compute the speed of the car ahead, m/s."""
-    heading, v = to.after.q[2], to.after.v
+    heading, v = transition.after.q[2], transition.after.v
     return jnp.cos(heading) * v[0] + jnp.sin(heading) * v[1]
 
 
-def near(to: Transition) -> Any:
+def near(transition: Transition) -> Any:
     """Compute 1 / (1 + e), with e = x^2 + 4 y^2 + 2 (1 - cos) in m^2, by the bay's axes."""
-    x, y, c, _ = trailer_in_bay(to)
+    x, y, c, _ = trailer_in_bay(transition)
     return 1 / (1 + x * x + 4 * y * y + 2 * (1 - c))
 
 
-def parked(to: Transition) -> Any:
+def parked(transition: Transition) -> Any:
     """Return 1 if the trailer stands in the bay within 0.1 m, 0.1 rad and 0.05 m/s, else 0."""
-    x, y, c, s = trailer_in_bay(to)
+    x, y, c, s = trailer_in_bay(transition)
     placed = (jnp.abs(x) < 0.1) & (jnp.abs(y) < 0.1) & (jnp.abs(s) < 0.1) & (c > 0)
-    return jnp.where(placed & (jnp.abs(speed(to)) < 0.05), 1.0, 0.0)
+    return jnp.where(placed & (jnp.abs(speed(transition)) < 0.05), 1.0, 0.0)
 
 
-def left_yard(to: Transition) -> Any:
+def left_yard(transition: Transition) -> Any:
     """Return True if the axle of the trailer is outside of the yard."""
-    x, y, _, _ = trailer_in_bay(to)
-    yard = to.params.values["yard"]
+    x, y, _, _ = trailer_in_bay(transition)
+    yard = transition.params.values["yard"]
     return (jnp.abs(x) > yard[0]) | (jnp.abs(y) > yard[1])
 
 
-def hit_bay(to: Transition) -> Any:
+def hit_bay(transition: Transition) -> Any:
     """Return True if a corner of the trailer is in a wall of the bay."""
-    x, y, c, s = trailer_in_bay(to)
-    mouth, width = to.params.values["bay_size"]
+    x, y, c, s = trailer_in_bay(transition)
+    mouth, width = transition.params.values["bay_size"]
     hit = False
     for along in (REAR, FRONT):
         for across in (-HALF_WIDTH, HALF_WIDTH):
@@ -208,4 +210,4 @@ def steering_error(largest: float) -> Randomisation:
     """Return a randomisation of the angle in rad by which the steering misses its target."""
     kp = 20.0  # of the file, N m/rad
     torque = np.array([[0.0, 0.0, 0.0], [kp * largest, 0.0, 0.0]])
-    return offset("steering_error", lambda model: model.actuators.bias, -torque, torque)
+    return random_offset("steering_error", lambda model: model.actuators.bias, -torque, torque)

@@ -87,42 +87,44 @@ def _task(name: str, speed: float | None) -> Task:
         {
             "policy": (
                 Observation("orientations", orientations),
-                Observation("height", lambda to: to.after.body("torso").position[2]),
-                Observation("velocity", lambda to: to.after.v),
+                Observation(
+                    "height", lambda transition: transition.after.body("torso").position[2]
+                ),
+                Observation("velocity", lambda transition: transition.after.v),
             )
         },
         tuple(rewards),
         decimation=10,
         values={} if speed is None else {"speed": float(speed)},
-        total=total_of_walker,
+        total_reward=total_of_walker,
         tracked="torso",
     )
 
 
-def orientations(to: Any) -> jax.Array:
+def orientations(transition: Any) -> jax.Array:
     """Observe the x and z components of the x axis in the frame of each body (14,)."""
     out = []
-    for b in range(to.model.nb):
-        R = to.after.body(b).rotation
+    for b in range(transition.model.nb):
+        R = transition.after.body(b).rotation
         out += [R[0], R[2]]
-    return jnp.stack([jnp.asarray(x, to.after.q.dtype) for x in out])
+    return jnp.stack([jnp.asarray(x, transition.after.q.dtype) for x in out])
 
 
-def standing(to: Any) -> jax.Array:
+def standing(transition: Any) -> jax.Array:
     """Reward a high torso."""
-    height = to.after.body("torso").position[2]
+    height = transition.after.body("torso").position[2]
     return tolerance(height, (STANDING_HEIGHT, math.inf), STANDING_HEIGHT / 2)
 
 
-def upright(to: Any) -> jax.Array:
+def upright(transition: Any) -> jax.Array:
     """Reward an upright torso: 1 up, 0 down."""
-    return (1 + to.after.body("torso").rotation[8]) / 2
+    return (1 + transition.after.body("torso").rotation[8]) / 2
 
 
-def moving(to: Any) -> jax.Array:
+def moving(transition: Any) -> jax.Array:
     """Reward the forward speed of the center of mass."""
-    speed = to.params.values["speed"]
-    return tolerance(_VELOCITY(to.after)[0], (speed, math.inf), speed / 2, "linear", 0.5)
+    speed = transition.params.values["speed"]
+    return tolerance(_VELOCITY(transition.after)[0], (speed, math.inf), speed / 2, "linear", 0.5)
 
 
 def total_of_walker(rewards: Mapping[str, jax.Array], dt: Any) -> Any:

@@ -14,8 +14,8 @@ from rbjax.sensors.fixed import reading
 def gravity_direction(frame: Any) -> Term:
     """Observe the direction of gravity (3,) in the axes of a frame: -R^T e_z."""
 
-    def read(t: Any) -> jax.Array:
-        return reading(t.after, -frame_at(t.after, frame).rotation.rows[2])
+    def read(transition: Any) -> jax.Array:
+        return reading(transition.after, -frame_at(transition.after, frame).rotation.rows[2])
 
     return read
 
@@ -23,9 +23,9 @@ def gravity_direction(frame: Any) -> Term:
 def tilt(frame: Any) -> Term:
     """Return the squared sine of the angle between z and the vertical: z_x^2 + z_y^2."""
 
-    def read(t: Any) -> jax.Array:
-        z = frame_at(t.after, frame).rotation.columns[2]
-        return scalar(t.after, squares((z[0], z[1])))
+    def read(transition: Any) -> jax.Array:
+        z = frame_at(transition.after, frame).rotation.columns[2]
+        return scalar(transition.after, squares((z[0], z[1])))
 
     return read
 
@@ -33,9 +33,9 @@ def tilt(frame: Any) -> Term:
 def axis_error(frame: Any, target: tuple[float, float, float]) -> Term:
     """Return |z - target|^2 of the vertical axis z of a frame, in world axes."""
 
-    def read(t: Any) -> jax.Array:
-        z = frame_at(t.after, frame).rotation.columns[2]
-        return scalar(t.after, squares(a - b for a, b in zip(z, target, strict=True)))
+    def read(transition: Any) -> jax.Array:
+        z = frame_at(transition.after, frame).rotation.columns[2]
+        return scalar(transition.after, squares(a - b for a, b in zip(z, target, strict=True)))
 
     return read
 
@@ -43,7 +43,7 @@ def axis_error(frame: Any, target: tuple[float, float, float]) -> Term:
 def fallen(frame: Any, least: float = 0.0) -> Term:
     """Check whether z_z < least, the cosine of the angle from the vertical. Zero is 90 degrees."""
 
-    def read(t: Any) -> jax.Array:
-        return jnp.asarray(frame_at(t.after, frame).rotation.columns[2][2] < least)
+    def read(transition: Any) -> jax.Array:
+        return jnp.asarray(frame_at(transition.after, frame).rotation.columns[2][2] < least)
 
     return read

@@ -41,20 +41,22 @@ def switched_commands(dt: float, name: str = "command") -> tuple[Variable, ...]:
         a = jnp.asarray(params.values[f"{name}_range"])
         return a * jax.random.uniform(key, a.shape, a.dtype, -1.0, 1.0)
 
-    def due(t: Any) -> Any:
-        return t.variables[f"{name}_steps"] <= 1
+    def due(transition: Any) -> Any:
+        return transition.variables[f"{name}_steps"] <= 1
 
-    def changed(key: Any, t: Any) -> jax.Array:
-        c, params = t.variables[name], t.params
+    def changed(key: Any, transition: Any) -> jax.Array:
+        c, params = transition.variables[name], transition.params
         keys = jax.random.split(key, 3)
         on = jax.random.uniform(keys[0], c.shape) < jnp.asarray(params.values[f"{name}_on"])
         other = jax.random.uniform(keys[1], c.shape) < 0.5
         new = jnp.where(on, uniform(keys[2], params), 0.0).astype(c.dtype)
-        return jnp.where(due(t) & other, new, c)
+        return jnp.where(due(transition) & other, new, c)
 
-    def counted(key: Any, t: Any) -> jax.Array:
-        left = t.variables[f"{name}_steps"]
-        return jnp.where(due(t), steps(key, t.params).astype(left.dtype), left - 1)
+    def counted(key: Any, transition: Any) -> jax.Array:
+        left = transition.variables[f"{name}_steps"]
+        return jnp.where(
+            due(transition), steps(key, transition.params).astype(left.dtype), left - 1
+        )
 
     # the command is first: it reads the steps that are left before they change
     return (
@@ -85,12 +87,16 @@ def periodic_commands(every: int, name: str = "command") -> tuple[Variable, ...]
         stop = jax.random.uniform(keys[1], ()) < params.values[f"{name}_stop"]
         return jnp.where(stop, 0.0, c)
 
-    def changed(key: Any, t: Any) -> jax.Array:
-        c = t.variables[name]
-        return jnp.where(t.variables[f"{name}_steps"] <= 1, drawn(key, t.params).astype(c.dtype), c)
+    def changed(key: Any, transition: Any) -> jax.Array:
+        c = transition.variables[name]
+        return jnp.where(
+            transition.variables[f"{name}_steps"] <= 1,
+            drawn(key, transition.params).astype(c.dtype),
+            c,
+        )
 
-    def counted(key: Any, t: Any) -> jax.Array:
-        left = t.variables[f"{name}_steps"]
+    def counted(key: Any, transition: Any) -> jax.Array:
+        left = transition.variables[f"{name}_steps"]
         return jnp.where(left <= 1, jnp.asarray(float(every), left.dtype), left - 1)
 
     def full(key: Any, params: Any) -> jax.Array:

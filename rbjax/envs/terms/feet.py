@@ -51,17 +51,21 @@ class Feet:
         def none(key: Any, params: Any) -> jax.Array:
             return jnp.zeros(len(self.sites))
 
-        def contact_after(key: Any, t: Any) -> jax.Array:
-            return self.contact(t).astype(t.after.q.dtype)
+        def contact_after(key: Any, transition: Any) -> jax.Array:
+            return self.contact(transition).astype(transition.after.q.dtype)
 
-        def flown(t: Any) -> jax.Array:
-            return t.variables["air_time"] + jnp.asarray(t.dt, t.after.q.dtype)
+        def flown(transition: Any) -> jax.Array:
+            return transition.variables["air_time"] + jnp.asarray(
+                transition.dt, transition.after.q.dtype
+            )
 
-        def peak(t: Any) -> jax.Array:
-            return jnp.maximum(t.variables["swing_peak"], self.heights(t))
+        def peak(transition: Any) -> jax.Array:
+            return jnp.maximum(transition.variables["swing_peak"], self.heights(transition))
 
         def without_contact(name: str) -> Any:
-            return lambda key, t: jnp.where(self.contact(t), 0.0, t.variables[name])
+            return lambda key, transition: jnp.where(
+                self.contact(transition), 0.0, transition.variables[name]
+            )
 
         return (
             Variable("last_contact", none, update=contact_after),
@@ -69,27 +73,34 @@ class Feet:
             Variable("swing_peak", none, measure=peak, update=without_contact("swing_peak")),
         )
 
-    def contact(self, t: Any) -> jax.Array:
+    def contact(self, transition: Any) -> jax.Array:
         """Observe whether each foot (n,) touches."""
-        return touching_at(t.after, self.pairs)
+        return touching_at(transition.after, self.pairs)
 
-    def heights(self, t: Any) -> jax.Array:
+    def heights(self, transition: Any) -> jax.Array:
         """Observe the heights (n,) of the sites in the world, m."""
-        return reading(t.after, [frame_at(t.after, s).position[2] for s in self.sites])
+        return reading(
+            transition.after, [frame_at(transition.after, s).position[2] for s in self.sites]
+        )
 
-    def velocities(self, t: Any) -> jax.Array:
+    def velocities(self, transition: Any) -> jax.Array:
         """Observe the velocities (3 n,) of the sites in world axes, foot by foot, m/s."""
-        return reading(t.after, [x for s in self.sites for x in frame_at(t.after, s).velocity])
+        return reading(
+            transition.after,
+            [x for s in self.sites for x in frame_at(transition.after, s).velocity],
+        )
 
-    def speeds(self, t: Any) -> jax.Array:
+    def speeds(self, transition: Any) -> jax.Array:
         """Return the horizontal speeds (n,) of the sites, m/s."""
-        each = (frame_at(t.after, s).velocity for s in self.sites)
-        return reading(t.after, [length((v[0], v[1])) for v in each])
+        each = (frame_at(transition.after, s).velocity for s in self.sites)
+        return reading(transition.after, [length((v[0], v[1])) for v in each])
 
-    def landing(self, t: Any) -> jax.Array:
+    def landing(self, transition: Any) -> jax.Array:
         """Return whether each foot (n,) lands in this step."""
-        flew = t.variables["air_time"] > 1.5 * t.dt  # before this step more than zero
-        return flew & self.contact(t)
+        flew = (
+            transition.variables["air_time"] > 1.5 * transition.dt
+        )  # before this step more than zero
+        return flew & self.contact(transition)
 
     def slip(self, t: Any) -> jax.Array:
         """Return the sum of |v_xy|^2 of the feet in contact, zero without a command."""
@@ -111,10 +122,10 @@ class Feet:
 
         always: whether it also counts without a command."""
 
-        def read(t: Any) -> jax.Array:
-            error = t.variables["swing_peak"] / height - 1.0
-            found = jnp.where(self.landing(t), error * error, 0.0).sum()
-            return found if always else self._moving(t, found)
+        def read(transition: Any) -> jax.Array:
+            error = transition.variables["swing_peak"] / height - 1.0
+            found = jnp.where(self.landing(transition), error * error, 0.0).sum()
+            return found if always else self._moving(transition, found)
 
         return read
 
@@ -125,23 +136,23 @@ class Feet:
 
         always: whether it also counts without a command."""
 
-        def read(t: Any) -> jax.Array:
-            time = t.variables["air_time"]
+        def read(transition: Any) -> jax.Array:
+            time = transition.variables["air_time"]
             time = time if most is None else jnp.minimum(time, most)
-            found = jnp.where(self.landing(t), time - least, 0.0).sum()
-            return found if always else self._moving(t, found)
+            found = jnp.where(self.landing(transition), time - least, 0.0).sum()
+            return found if always else self._moving(transition, found)
 
         return read
 
     def base_slip(self, frame: Any) -> Term:
         """Return the term: horizontal speed of a frame, m/s, times the number of touching feet."""
 
-        def read(t: Any) -> jax.Array:
-            v = frame_at(t.after, frame).velocity
-            count = self.contact(t).astype(t.after.q.dtype).sum()
-            return scalar(t.after, length((v[0], v[1]))) * count
+        def read(transition: Any) -> jax.Array:
+            v = frame_at(transition.after, frame).velocity
+            count = self.contact(transition).astype(transition.after.q.dtype).sum()
+            return scalar(transition.after, length((v[0], v[1]))) * count
 
         return read
 
-    def _moving(self, t: Any, value: jax.Array) -> jax.Array:
-        return jnp.where(norm(t.variables[self.command]) > STILL, value, 0.0)
+    def _moving(self, transition: Any, value: jax.Array) -> jax.Array:
+        return jnp.where(norm(transition.variables[self.command]) > STILL, value, 0.0)

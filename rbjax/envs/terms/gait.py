@@ -48,16 +48,20 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
     def start(key: Any, params: Any) -> jax.Array:
         return jnp.asarray(list(map(float, offsets)))
 
-    def advanced(key: Any, t: Any) -> jax.Array:
-        p = t.variables["phase"] + (2 * math.pi * dt) * t.variables["gait_rate"] + math.pi
+    def advanced(key: Any, transition: Any) -> jax.Array:
+        p = (
+            transition.variables["phase"]
+            + (2 * math.pi * dt) * transition.variables["gait_rate"]
+            + math.pi
+        )
         return jnp.where(p >= 2 * math.pi, p - 2 * math.pi, p) - math.pi
 
     return Variable("phase", start, update=advanced), Variable("gait_rate", rate)
 
 
-def phase_cosines(t: Any) -> jax.Array:
+def phase_cosines(transition: Any) -> jax.Array:
     """Observe the cosines and then the sines (2 n,) of the phases."""
-    p = t.variables["phase"]
+    p = transition.variables["phase"]
     return jnp.concatenate([jnp.cos(p), jnp.sin(p)])
 
 
@@ -87,12 +91,12 @@ def follow_phase(
     height: m, of a swing. width: m^2. frame: site or body of the base.
     """
 
-    def read(t: Any) -> jax.Array:
-        error = feet.heights(t) - height_of_phase(t.variables["phase"], height)
-        base = frame_at(t.after, frame)
+    def read(transition: Any) -> jax.Array:
+        error = feet.heights(transition) - height_of_phase(transition.variables["phase"], height)
+        base = frame_at(transition.after, frame)
         v, w = base.velocity, base.angular_velocity
         moves = (length((v[0], v[1])) > SLOW) | (jnp.abs(w[2]) > SLOW)
-        moves = moves | (norm(t.variables[command]) > STILL)
+        moves = moves | (norm(transition.variables[command]) > STILL)
         return jnp.where(moves, jnp.exp(-(error * error).sum() / width), 0.0)
 
     return read

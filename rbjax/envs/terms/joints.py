@@ -23,8 +23,8 @@ def joint_offsets(home: Sequence[float]) -> Term:
     """Observe q_j - h (n,)."""
     h = np.asarray(home)
 
-    def read(t: Any) -> jax.Array:
-        q = joint_entries(t.after.q, len(h))
+    def read(transition: Any) -> jax.Array:
+        q = joint_entries(transition.after.q, len(h))
         return q - jnp.asarray(h, q.dtype)
 
     return read
@@ -33,8 +33,8 @@ def joint_offsets(home: Sequence[float]) -> Term:
 def joint_velocities(count: int) -> Term:
     """Observe the velocities (n,) of the last `count` joints."""
 
-    def read(t: Any) -> jax.Array:
-        return joint_entries(t.after.v, count)
+    def read(transition: Any) -> jax.Array:
+        return joint_entries(transition.after.v, count)
 
     return read
 
@@ -84,8 +84,8 @@ def stand_still(home: Sequence[float], command: str = "command") -> Term:
     """Return the sum of |q_j - h| if the command is zero, else 0."""
     deviation = joint_deviation(home)
 
-    def read(t: Any) -> jax.Array:
-        return jnp.where(norm(t.variables[command]) < STILL, deviation(t), 0.0)
+    def read(transition: Any) -> jax.Array:
+        return jnp.where(norm(transition.variables[command]) < STILL, deviation(transition), 0.0)
 
     return read
 
@@ -94,8 +94,8 @@ def joint_limit_violation(lower: Sequence[float], upper: Sequence[float]) -> Ter
     """Return the sum of the distances of q_j beyond limits (n,), max(l - q, 0) + max(q - u, 0)."""
     low, high = np.asarray(lower), np.asarray(upper)
 
-    def read(t: Any) -> jax.Array:
-        q = joint_entries(t.after.q, len(low))
+    def read(transition: Any) -> jax.Array:
+        q = joint_entries(transition.after.q, len(low))
         below = jnp.maximum(jnp.asarray(low, q.dtype) - q, 0.0)
         return (below + jnp.maximum(q - jnp.asarray(high, q.dtype), 0.0)).sum()
 

@@ -64,7 +64,7 @@ def excess_load(feet: Feet, most: float, floor: float = 0.0) -> Term:
 
     floor: height of the floor, m."""
 
-    def read(t: Any) -> jax.Array:
-        return jnp.maximum(two_foot_loads(t.after, feet, floor) - most, 0.0).sum()
+    def read(transition: Any) -> jax.Array:
+        return jnp.maximum(two_foot_loads(transition.after, feet, floor) - most, 0.0).sum()
 
     return read

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
     """Compute the reward of a control step: the product of the weighted terms. dt is not used.
 
-    Use it as `Task.total` if every term is between 0 and 1 and all of them are needed.
+    Use it as `Task.total_reward` if every term is between 0 and 1 and all of them are needed.
 
     Source: Tassa et al., *DeepMind Control Suite*, 2018, sec. 2.4.
 
@@ -30,7 +30,7 @@ def clipped_sum(
 ) -> Callable[[Mapping[str, jax.Array], Any], Any]:
     """Return the function of the reward of a control step: the clipped sum of the weighted terms.
 
-    Use it as `Task.total`.
+    Use it as `Task.total_reward`.
 
     low, high: limits of the reward. times_dt: whether the sum is multiplied by the control step.
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.envs.task import Randomisation, offset, scale
+from rbjax.envs.task import Randomisation, random_offset, random_scale
 from rbjax.model import Model
 
 
@@ -79,9 +79,9 @@ def joint_randomisations(
 
     most = np.where(coordinates, zero, 0.0)
     return (
-        scale("friction_loss", _friction_loss, *factors(friction), each=True),
-        scale("armature", lambda m: m.joints.armature, *factors(armature), each=True),
-        offset("joint_zero", lambda m: m.joints.reference, -most, most, each=True),
+        random_scale("friction_loss", _friction_loss, *factors(friction), each=True),
+        random_scale("armature", lambda m: m.joints.armature, *factors(armature), each=True),
+        random_offset("joint_zero", lambda m: m.joints.reference, -most, most, each=True),
     )
 
 
@@ -89,7 +89,7 @@ def shift_center_of_mass(model: Model, body: str, most: float) -> Randomisation:
     """Return the randomisation of the center of mass of a body, by at most `most` m an axis."""
     limit = np.zeros(model.bodies.com.shape)
     limit[model.body(body)] = most
-    return offset("center_of_mass", lambda m: m.bodies.com, -limit, limit, each=True)
+    return random_offset("center_of_mass", lambda m: m.bodies.com, -limit, limit, each=True)
 
 
 def mass_randomisations(
@@ -113,8 +113,8 @@ def mass_randomisations(
     limit = np.zeros(model.nb)
     limit[model.body(body)] = added
     return (
-        scale("masses", lambda m: m.bodies.mass, *factor, each=True),
-        offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
+        random_scale("masses", lambda m: m.bodies.mass, *factor, each=True),
+        random_offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
     )
 
 

@@ -44,8 +44,8 @@ def touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
     """
     fixed = tuple((a, b) for a, b in pairs)
 
-    def read(t: Any) -> jax.Array:
-        return touching_at(t.after, fixed, reach)
+    def read(transition: Any) -> jax.Array:
+        return touching_at(transition.after, fixed, reach)
 
     return read
 

@@ -26,8 +26,8 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
         1.0
     """
 
-    def read(t: Any) -> jax.Array:
-        c, v = t.variables[command], frame_at(t.after, frame).twist.lin
+    def read(transition: Any) -> jax.Array:
+        c, v = transition.variables[command], frame_at(transition.after, frame).twist.lin
         return jnp.exp(-squares((c[0] - v[0], c[1] - v[1])) / width)
 
     return read
@@ -36,9 +36,12 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
 def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) -> Term:
     """Reward the commanded yaw rate: exp(-(c_w - w_z)^2 / width). width: in rad^2/s^2."""
 
-    def read(t: Any) -> jax.Array:
+    def read(transition: Any) -> jax.Array:
         return jnp.exp(
-            -squares([t.variables[command][2] - frame_at(t.after, frame).twist.ang[2]]) / width
+            -squares(
+                [transition.variables[command][2] - frame_at(transition.after, frame).twist.ang[2]]
+            )
+            / width
         )
 
     return read
@@ -47,8 +50,10 @@ def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) ->
 def vertical_velocity(*frames: Any) -> Term:
     """Return the sum of v_z^2 over frames, v in world axes."""
 
-    def read(t: Any) -> jax.Array:
-        return scalar(t.after, squares(frame_at(t.after, f).velocity[2] for f in frames))
+    def read(transition: Any) -> jax.Array:
+        return scalar(
+            transition.after, squares(frame_at(transition.after, f).velocity[2] for f in frames)
+        )
 
     return read
 
@@ -56,8 +61,8 @@ def vertical_velocity(*frames: Any) -> Term:
 def roll_and_pitch_rate(frame: Any) -> Term:
     """Return w_x^2 + w_y^2 of a frame, w in world axes."""
 
-    def read(t: Any) -> jax.Array:
-        w = frame_at(t.after, frame).angular_velocity
-        return scalar(t.after, squares((w[0], w[1])))
+    def read(transition: Any) -> jax.Array:
+        w = frame_at(transition.after, frame).angular_velocity
+        return scalar(transition.after, squares((w[0], w[1])))
 
     return read

@@ -27,7 +27,7 @@ def task(*, critic: bool = False, episode: int = 100, random: bool = False) -> T
             Observation("v", lambda to: to.after.v),
             Observation("step", lambda to: to.step / episode),
         )
-    masses = envs.scale("masses", lambda model: model.bodies.mass, 0.8, 1.2)
+    masses = envs.random_scale("masses", lambda model: model.bodies.mass, 0.8, 1.2)
     assert isinstance(masses, Randomisation)
     return Task(
         "balance", model, start, groups,

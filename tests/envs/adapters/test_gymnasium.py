@@ -66,7 +66,7 @@ def test_one_environment_runs_the_steps_of_the_task(env):
         assert abs(obs[1] - one.state.state.q[1]) <= 0.001
         assert set(info["rewards"]) == {"upright", "effort"}
     assert truncated == (length == 30)
-    np.testing.assert_allclose(total, one.state.total, rtol=1e-12)  # the same sum in f64
+    np.testing.assert_allclose(total, one.state.episode_return, rtol=1e-12)  # the same sum in f64
     with pytest.raises(InputError, match="reset before"):
         adapters.to_gymnasium(env).step(np.zeros(1))
 

@@ -29,6 +29,6 @@ def environment(**more):
         "rewards": (Reward("upright", upright),),
         "dt": 0.05,
         "episode": 5,
-        "total": lambda terms, dt: sum(terms.values()),
+        "total_reward": lambda terms, dt: sum(terms.values()),
     } | more
     return Environment(Task("pole", rb.load("cart_pole"), **fields))

@@ -186,5 +186,5 @@ def test_a_linear_regulator_balances():
     obs, state = resets(env, 8)
     run = jax.vmap(lambda key, obs, state: env.unroll(key, obs, state, policy, 999))
     _, state, path = run(jax.random.split(jax.random.key(2), 8), obs, state)
-    assert not path["done"].any() and (state.total > 990).all()
-    np.testing.assert_allclose(path["reward"].sum(1), state.total, rtol=1e-12)
+    assert not path["done"].any() and (state.episode_return > 990).all()
+    np.testing.assert_allclose(path["reward"].sum(1), state.episode_return, rtol=1e-12)
