@@ -10,6 +10,7 @@ import json
 import time
 
 from docs.generate import rooms, tree
+from docs.generate.convert import convert
 
 OUT = tree.ROOT / ".cache" / "docs"
 
@@ -21,7 +22,10 @@ def main() -> None:
         found = tree.generated(name, tree.ROOT)
         tree.write(found, OUT)
         print(f"{name}: {len(found)} files, {time.perf_counter() - start:.1f} s")
-    (OUT.parent / "links.json").write_text(json.dumps(rooms.links()))
+    links = rooms.links()
+    for page in OUT.rglob("*.md"):
+        page.write_text(convert(page.read_text(), links))
+    (OUT.parent / "links.json").write_text(json.dumps(links))
     (OUT.parent / "signatures.json").write_text(json.dumps(rooms.signatures()))
     nav = json.dumps(tree.navigation(OUT), ensure_ascii=False, indent=1)
     config = (tree.ROOT / "mkdocs.yml").read_text()

@@ -10,7 +10,14 @@ from docs.generate import rooms, tree
 from docs.generate.plain_text import escaped
 
 #: pages beside the rooms
-EXTRA: list[str] = []
+EXTRA = [
+    "- [Registries](registries/index.md): joints, forces, contact laws, constraints, solvers, "
+    "sensors, wheels, beams, tasks, methods",
+    "- [Command line](command_line.md): `rbjax` and its commands",
+    "- [Robot files](files.md): what of MJCF and URDF is supported",
+    "- [Errors](errors.md): exceptions, and failure inside compiled code",
+    "",
+]
 
 
 def pages(root: Path) -> tree.Pages:
@@ -62,7 +69,7 @@ def intro(doc: str, room: str) -> str:
         )
     kept = []
     for paragraph in doc.split("\n\n"):
-        if re.match(r"(Files|Subpackages|Modules|Rooms)\b|[-*] |\s", paragraph):
+        if re.match(r"(Files|Subpackages|Modules|Rooms)\b|[-*] |\s|[\w/.]+ {2,}", paragraph):
             break
         kept.append(escaped(paragraph))
     return "\n\n".join(kept)
@@ -129,7 +136,7 @@ def index() -> str:
         for room in found:
             doc = escaped(rooms.first_sentence(inspect.getdoc(rooms.package(room)) or ""))
             lines.append(f"- [`rb.{room}`]({path(room).removeprefix('reference/')}): {doc}")
-    lines += ["", "## Lists", "", "- [All names](names.md)", ""]
+    lines += ["", "## Lists", "", "- [All names](names.md)"]
     return "\n".join(lines + EXTRA)
 
 

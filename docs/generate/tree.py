@@ -29,7 +29,7 @@ TABS = {
 #: folders that are sections of a tab, after the tab's own pages
 SECTIONS = {"howto": ("guides", "tasks"), "tutorials": ("animations",)}
 #: generators that read the pages of the others
-LAST = ("llms",)
+LAST = ("llms",)  # they read what the others have written
 
 Pages = dict[str, str | bytes]
 

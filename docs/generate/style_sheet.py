@@ -1,0 +1,108 @@
+"""The style sheet of the site, in the colours of rbjax's pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from string import Template
+
+from docs.generate import tree
+from rbjax import style
+
+#: lighter colours on the dark page, with a contrast of at least 4.5 to 1
+LIGHT_BLUE, LIGHT_ORANGE = "#7db8ee", "#f3a55d"
+
+SHEET = Template("""\
+:root > *,
+[data-md-color-scheme="default"] > * {
+  --md-primary-fg-color: $blue;
+  --md-accent-fg-color: $orange;
+  --md-typeset-a-color: $blue;
+}
+
+[data-md-color-scheme="slate"][data-md-color-scheme] > * {
+  --md-primary-fg-color: $light_blue;
+  --md-accent-fg-color: $light_orange;
+  --md-typeset-a-color: $light_blue;
+}
+
+/* wide tables scroll in their frame, and rows are tight */
+.md-typeset table:not([class]) th,
+.md-typeset table:not([class]) td {
+  padding: 0.45em 0.9em;
+  vertical-align: top;
+}
+
+.md-typeset table:not([class]) td:first-child code,
+.md-typeset table:not([class]) td a code {
+  white-space: nowrap;
+}
+
+/* numbers of equal width stand below each other */
+.md-typeset table:not([class]) td {
+  font-variant-numeric: tabular-nums;
+}
+
+/* formulas */
+.md-typeset .formula {
+  overflow-x: auto;
+  overflow-y: hidden;
+  margin: 1em 0;
+  padding: 0.2em 0;
+}
+
+.md-typeset math {
+  font-size: 1.08em;
+}
+
+.md-typeset math[display="block"] {
+  font-size: 1.12em;
+}
+
+/* square brackets: two lines with a serif at each end */
+.md-typeset mtable.bracketed {
+  border: 0 solid currentColor;
+  border-width: 0 1px;
+  margin: 0 0.15em;
+  background:
+    linear-gradient(currentColor, currentColor) 0 0 / 0.3em 1px no-repeat,
+    linear-gradient(currentColor, currentColor) 100% 0 / 0.3em 1px no-repeat,
+    linear-gradient(currentColor, currentColor) 0 100% / 0.3em 1px no-repeat,
+    linear-gradient(currentColor, currentColor) 100% 100% / 0.3em 1px no-repeat;
+}
+
+/* pictures have a white ground: on a dark page they keep a frame of it */
+[data-md-color-scheme="slate"] .md-typeset img[src$$=".png"],
+[data-md-color-scheme="slate"] .md-typeset img[src$$=".svg"] {
+  background: $paper;
+  border-radius: 4px;
+  padding: 6px;
+}
+
+/* entries of the reference */
+.md-typeset .doc-heading {
+  border-top: 1px solid var(--md-default-fg-color--lightest);
+  padding-top: 0.9em;
+}
+
+.md-typeset .doc-contents .doc-contents {
+  border-left: 2px solid var(--md-default-fg-color--lightest);
+  padding-left: 1em;
+}
+
+.md-typeset .doc-contents .doc-children {
+  border-left: 2px solid var(--md-default-fg-color--lightest);
+  padding-left: 1em;
+}
+
+.md-typeset .doc-children .doc-heading {
+  border-top: none;
+  padding-top: 0;
+}
+""")
+
+
+def pages(root: Path) -> tree.Pages:
+    """The sheet, which mkdocs.yml names."""
+    colours = {"blue": style.BLUE, "orange": style.ORANGE, "paper": style.PAPER}
+    lighter = {"light_blue": LIGHT_BLUE, "light_orange": LIGHT_ORANGE}
+    return {"style/rbjax.css": SHEET.substitute(colours | lighter)}
