@@ -1,0 +1,40 @@
+"""Write the clips and the strip of README: `python -m docs.generate.pictures [NAME ...]`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+from docs.generate.pictures import motions, plane  # noqa: E402
+from docs.generate.pictures.painting import save  # noqa: E402
+
+FOLDER = Path(__file__).parents[2] / "clips"
+CLIPS = {
+    f.__name__: f
+    for f in (
+        motions.walking_policy, motions.contact, plane.parking_a_trailer, motions.flexible,
+        plane.first_hour, motions.swing_up, motions.loops, motions.through_a_gate,
+        motions.tumbling_body,
+    )
+}  # fmt: skip
+#: the panels of the strip, 160 x 150 each
+STRIP = ("walking_policy", "contact", "parking_a_trailer", "flexible", "first_hour")
+
+
+def main(names: list[str]) -> None:
+    """Write the named clips, or all of them and the strip."""
+    for name in names or [*CLIPS, "strip"]:
+        if name == "strip":
+            panels = [list(CLIPS[panel]((160, 150))) for panel in STRIP]
+            frames = [np.concatenate(parts, axis=1) for parts in zip(*panels, strict=True)]
+            save(frames, FOLDER / "strip.webp", 1_000_000)
+        else:
+            save(list(CLIPS[name]((270, 180))), FOLDER / f"{name}.webp", 150_000)
+
+
+main(sys.argv[1:])
