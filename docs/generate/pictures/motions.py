@@ -144,9 +144,7 @@ def tumbling_body(size: Size) -> Frames:
     start = model.default_state()
     turned = jnp.array([np.cos(np.pi / 4), 0.0, -np.sin(np.pi / 4), 0.0])  # the stem upwards
     start = rb.State(start.q.at[3:7].set(turned), start.v.at[3:6].set(jnp.array([12.0, 0.0, 0.12])))
-    path = rb.rollout(
-        model, start, None, 0.002, steps=40 * COUNT, integrator="rk4", save_every=40
-    )
+    path = rb.rollout(model, start, None, 0.002, steps=40 * COUNT, integrator="rk4", save_every=40)
     q = np.asarray(path.q)[:COUNT].copy()
     q[:, :3] = 0.0  # the view follows
     return robot_frames(model, q, size, source=handle, camera=Camera(-60, 20))

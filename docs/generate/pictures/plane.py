@@ -100,4 +100,3 @@ def parking_a_trailer(size: Size) -> Frames:
     for k in range(COUNT):
         drawing.show(where.at(k))
         yield picture(canvas).copy()
-
