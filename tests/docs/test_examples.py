@@ -7,8 +7,11 @@ import pytest
 from tests.docs.pages import PAGES, blocks, name
 
 RUN = [page for page in PAGES if blocks(page.read_text())]
-#: pages whose programs other tests run, with smaller numbers
-ELSEWHERE = {"docs/guides/adapters.md": "tests/envs/adapters/test_page.py"}
+#: pages whose programs other tests run
+ELSEWHERE = {
+    "README.md": "tests/docs/test_readme.py",
+    "docs/guides/adapters.md": "tests/envs/adapters/test_page.py",
+}
 
 
 @pytest.mark.parametrize("page", [p for p in RUN if name(p) not in ELSEWHERE], ids=name)

@@ -39,7 +39,7 @@ def test_a_clip_is_small_and_moves(name: str):
     most, width = (1_000_000, 800) if name == "strip.webp" else (150_000, 270)
     assert path.stat().st_size <= most
     with Image.open(path) as film:
-        assert film.width == width and film.n_frames == 48
+        assert film.width == width and 40 <= film.n_frames <= 48  # equal frames are one
 
 
 def test_every_clip_leads_to_its_notebook():

@@ -44,7 +44,8 @@ GRIPPER = """<mujoco><option cone="elliptic"/><default><geom friction="0.8"/></d
   <geom type="plane" size="0.3 0.3 1"/>
   <body name="hand" pos="0 0 0.16"><joint name="lift" type="slide" axis="0 0 1"/>
     <joint name="turn" axis="0 0 1"/>
-    <geom type="box" size="0.07 0.02 0.015" mass="0.5" contype="0" conaffinity="0" rgba="0.3 0.34 0.4 1"/>
+    <geom type="box" size="0.07 0.02 0.015" mass="0.5" contype="0" conaffinity="0"
+      rgba="0.3 0.34 0.4 1"/>
     <body name="left" pos="-0.05 0 -0.07"><joint name="left" type="slide" axis="1 0 0"/>
       <geom type="box" size="0.006 0.015 0.055" mass="0.1" rgba="0.16 0.4 0.7 1"/></body>
     <body name="right" pos="0.05 0 -0.07"><joint name="right" type="slide" axis="-1 0 0"/>

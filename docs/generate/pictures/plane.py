@@ -88,7 +88,7 @@ def parking_a_trailer(size: Size) -> Frames:
     track = np.asarray(reference.q)[:, :2]
     ax.plot(*track.T, "--", color="#9aa5b1", lw=1.2)
     drawing, where = Drawing(ax, rig), places(model, q)
-    low, high = track.min(0) - [7.0, 3.0], track.max(0) + [5.0, 3.0]
+    low, high = track.min(0) - np.array([7.0, 3.0]), track.max(0) + np.array([5.0, 3.0])
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.maximum(half, half[::-1] * [size[0] / size[1], size[1] / size[0]])
     ax.set(xlim=(middle[0] - half[0], middle[0] + half[0]))
