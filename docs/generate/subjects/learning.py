@@ -3,26 +3,38 @@
 from docs.generate.tables import Column as C
 from docs.generate.tables import Pivot, Table
 
+
+def _last(row: dict) -> dict:
+    """The evaluation after a training, or the last report of one without."""
+    report = row["curve"][-1]
+    last = {"return": report.get("reward"), "std": report.get("reward_std"), "episodes": None}
+    return row.get("evaluation") or last
+
+
 TABLES = {
     "environments": Pivot(
         ("gpu-environments-*",),
-        (C("task"), C("decimation", "physics steps a control step")),
+        (C("task"), C("decimation", "physics steps a control step"), C("batch")),
         "what",
         C("M/s median", "million a second"),
-        order=("step", "rollout"),
+        order=("step", "unroll", "rollout"),
     ),
     "training": Table(
         ("training-*",),
         (
             C("task"),
+            C(
+                lambda row: ", ".join(f"{k}={x}" for k, x in row.get("options", {}).items()),
+                "options",
+            ),
             C("algorithm"),
             C("seed"),
             C("steps"),
             C("seconds", "seconds, with compiling"),
             C(lambda row: row["steps"] / row["seconds"] / 1e6, "million steps a second, all in", 2),
-            C(lambda row: row["evaluation"]["return"], "return"),
-            C(lambda row: row["evaluation"]["std"], "its standard deviation", 2),
-            C(lambda row: row["evaluation"]["episodes"], "episodes"),
+            C(lambda row: _last(row)["return"], "return"),
+            C(lambda row: _last(row)["std"], "its standard deviation", 2),
+            C(lambda row: _last(row)["episodes"], "episodes"),
         ),
     ),
     "policy through the dynamics": Table(
