@@ -108,6 +108,7 @@ FORCE:
 docs: $(VENV)/.docs ## the documentation, into site/; fails on a dead link
 	$(BIN)/python -m docs.generate
 	$(BIN)/python -m zensical build --clean --strict --config-file .cache/mkdocs.yml
+	$(BIN)/python -m docs.generate.check .cache/site
 	@rm -rf site && cp -r .cache/site site
 
 $(VENV)/.docs: $(STAMP)
