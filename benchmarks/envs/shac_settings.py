@@ -22,6 +22,7 @@ to all settings. f32.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import time
 from typing import Any
@@ -99,11 +100,19 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--option", default="{}", help="options of the task, JSON")
+    parser.add_argument("--upright", type=float, help="of Go1: least z_z, else the episode ends")
+    parser.add_argument("--low", type=float, help="of Go1: least height of the trunk, m")
     parser.add_argument("--name", default="")
     parser.add_argument("--out")
     given = parser.parse_args()
     began = time.perf_counter()
     env = rb.envs.make(given.task, **json.loads(given.option))
+    if given.upright is not None:
+        ends = {"fallen": rb.envs.terms.fallen("imu", given.upright)}
+        if given.low is not None:
+            ends["low"] = lambda t: t.after.body("trunk").position[2] < given.low
+        env = rb.envs.Environment(dataclasses.replace(env.task, terminations=ends))
+    judge = rb.envs.make(given.task, **json.loads(given.option))
     changes = json.loads(given.settings)
     rows = [{**DEFAULTS, **c} for c in changes]
     hyper = {n: jnp.asarray([r[n] for r in rows], jnp.float32) for n in DEFAULTS}
@@ -213,12 +222,12 @@ def main() -> None:
     def returns(trained: Any) -> jax.Array:
         policy = eqx.combine(trained, (*static, static[1]))[0]
         a, b = jax.random.split(jax.random.key(99))
-        obs, state = jax.vmap(env.reset)(jax.random.split(a, given.episodes))
+        obs, state = jax.vmap(judge.reset)(jax.random.split(a, given.episodes))
 
         def step(carry: tuple, key: jax.Array) -> tuple:
             obs, state, on, total = carry
             act = jax.vmap(lambda o: policy(o, None))(obs)
-            obs, state, r, done, _ = jax.vmap(env.step)(
+            obs, state, r, done, _ = jax.vmap(judge.step)(
                 jax.random.split(key, given.episodes), state, act
             )
             return (obs, state, on & ~done, total + jnp.where(on, r, 0.0)), None

@@ -41,14 +41,14 @@ def view(
     task = what in rb.envs.tasks()
     with session(double=not task):
         _check(save)
-        from rbjax.viewer import subject_of
+        from rbjax.viewer import motion_of
 
         with progress() as (say, _):
             say(f"compiling and running {what}" if task else f"reading {Path(what).name}")
-            subject = subject_of(
+            motion = motion_of(
                 what, floating_base=floating_base, samples=samples, seconds=seconds, seed=seed
             )
-        _show(subject, save, host, port, browser)
+        _show(motion, save, host, port, browser)
 
 
 @app.command()
@@ -66,13 +66,13 @@ def play(
     with session(double=False):
         _check(save)
         from rbjax.envs.learning import load_policy
-        from rbjax.viewer import subject_of_policy
+        from rbjax.viewer import motion_of_policy
 
         with progress() as (say, _):
             say(f"compiling and running {checkpoint.name}")
             env, policy = load_policy(checkpoint)
-            subject = subject_of_policy(env, policy, samples=samples, seconds=seconds, seed=seed)
-        _show(subject, save, host, port, browser)
+            motion = motion_of_policy(env, policy, samples=samples, seconds=seconds, seed=seed)
+        _show(motion, save, host, port, browser)
 
 
 def _check(save: Path | None) -> None:
@@ -86,12 +86,12 @@ def _check(save: Path | None) -> None:
         writable(save)
 
 
-def _show(subject: Any, save: Path | None, host: str, port: int, browser: bool) -> None:
+def _show(motion: Any, save: Path | None, host: str, port: int, browser: bool) -> None:
     if save is not None:
-        subject.animate(save)
+        motion.animate(save)
         out.print(f"[green]wrote[/] [bold]{escape(str(save))}[/]", soft_wrap=True)
         return
-    viewer = subject.view(host=host, port=port)
+    viewer = motion.view(host=host, port=port)
     out.print(f"[bold]{viewer.url}[/]; Ctrl-C ends it", soft_wrap=True)
     if browser:
         webbrowser.open(viewer.url)

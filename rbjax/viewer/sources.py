@@ -1,4 +1,4 @@
-"""What there is to show: of a robot file, a saved trajectory, a task, a policy."""
+"""The motion that a viewer shows: of a robot file, a saved trajectory, a task, a policy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rbjax.plotting.policies import FEW, drawn_source, record_policy, tracked_bo
 from rbjax.viewer.viewing import Viewer, view
 
 
-class Subject(NamedTuple):
+class RobotMotion(NamedTuple):
     """A robot and its motion, and how to show them.
 
     model: the robot.
@@ -64,15 +64,15 @@ def at_rest(model: Model) -> Trajectory:
     return Trajectory(jnp.zeros(1), state.q[None], state.v[None], jnp.array(True))
 
 
-def subject_of(
+def motion_of(
     what: str | Path,
     *,
     floating_base: bool = False,
     samples: int = 1,
     seconds: float | None = None,
     seed: int = 0,
-) -> Subject:
-    """Return what there is to show of a robot file, a file of a trajectory, or a task by name.
+) -> RobotMotion:
+    """Return the motion of a robot file, a file of a trajectory, or a task by name.
 
     A task moves with random actions.
 
@@ -89,35 +89,35 @@ def subject_of(
         InputError, ModelError: a file that cannot be read.
 
     Example:
-        >>> from rbjax.viewer import subject_of
-        >>> subject_of("double_pendulum").model.nq
+        >>> from rbjax.viewer import motion_of
+        >>> motion_of("double_pendulum").model.nq
         2
     """
     text = str(what)
     if text.endswith(".npz"):
         model, trajectory, source = load_trajectory(what)
         shapes = source or drawn_source(model)
-        return Subject(model, trajectory, shapes, None, Path(text).stem)
+        return RobotMotion(model, trajectory, shapes, None, Path(text).stem)
     plain = text.isidentifier() and not Path(text).exists()
     if plain and text not in scenes():
         if text not in tasks():
             both = {"task": [*tasks()], "scene": [*scenes()]}
             raise UnknownName("file, scene or task", text, apart=both)
         options: Any = {"samples": samples, "seconds": seconds, "seed": seed}
-        return subject_of_policy(make(text), None, **options)
+        return motion_of_policy(make(text), None, **options)
     model = load(what, floating_base=floating_base or None)
     title = "robot" if text.lstrip().startswith("<") else Path(text).stem
-    return Subject(model, None, what, None, title, floating_base)
+    return RobotMotion(model, None, what, None, title, floating_base)
 
 
-def subject_of_policy(
+def motion_of_policy(
     env: Environment,
     policy: Any,
     *,
     samples: int = 1,
     seconds: float | None = None,
     seed: int = 0,
-) -> Subject:
+) -> RobotMotion:
     """Return the motion of a policy in its environment.
 
     Args:
@@ -129,12 +129,12 @@ def subject_of_policy(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.viewer import subject_of_policy
+        >>> from rbjax.viewer import motion_of_policy
         >>> env = rb.envs.make("cart_pole_balance")
-        >>> subject_of_policy(env, None, samples=2, seconds=0.1).trajectory.q.shape
+        >>> motion_of_policy(env, None, samples=2, seconds=0.1).trajectory.q.shape
         (2, 11, 2)
     """
     found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed)
     model, title = env.task.model, env.task.name.replace("_", " ")
     shapes, tracked = drawn_source(model), tracked_body(env)
-    return Subject(model, found.trajectory, shapes, found.contacts, title, tracked=tracked)
+    return RobotMotion(model, found.trajectory, shapes, found.contacts, title, tracked=tracked)

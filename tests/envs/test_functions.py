@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.envs import terms
-from rbjax.viewer import subject_of_policy
+from rbjax.viewer import motion_of_policy
 
 QUADRUPED = rb.load("quadruped")
 PARAMS = SimpleNamespace(model=QUADRUPED)
@@ -141,7 +141,7 @@ def test_clipped_sum():
 
 def test_motion_of_a_policy():
     env = rb.envs.make("cart_pole_balance")
-    found = subject_of_policy(
+    found = motion_of_policy(
         env, lambda obs, key: jnp.zeros(1, obs.dtype), samples=2, seconds=0.05
     )
     assert found.trajectory.q.shape == (2, 6, 2)

@@ -15,7 +15,7 @@ import pytest
 import rbjax as rb
 from rbjax.plotting import animate_policy, animation, record_policy
 from rbjax.plotting.policies import _random_actions
-from rbjax.viewer import subject_of_policy
+from rbjax.viewer import motion_of_policy
 
 BALL = """<mujoco><option timestep="0.002"/><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>
@@ -77,7 +77,7 @@ def test_the_view_follows_the_tracked_body(env, tmp_path: Path, monkeypatch) -> 
         (shown,) = films
         np.testing.assert_allclose(shown.middle, shown.p[0, :, index], atol=1e-12)
         np.testing.assert_allclose(shown.centre, shown.middle, atol=1e-12)
-        subject_of_policy(own, None, seconds=0.1).animate(tmp_path / "b.html")
+        motion_of_policy(own, None, seconds=0.1).animate(tmp_path / "b.html")
         shown = films[1]
         np.testing.assert_allclose(shown.middle, shown.p[0, :, index], atol=1e-12)
         films.clear()

@@ -86,7 +86,7 @@ ELSEWHERE: dict[str, set[str]] = {
              "to_gymnax", "to_rejax", "to_rsl_rl", "tolerance", "touching", "track_velocity",
              "track_yaw_rate", "train", "two_foot_loads", "velocity_pushes", "vertical_velocity",
              "wrap_brax"},
-    "viewer": {"subject_of", "subject_of_policy", "view"},
+    "viewer": {"motion_of", "motion_of_policy", "view"},
     "cli": {"app", "main"},
     "recommend": {"contact_law", "control_method", "fidelity", "formulation", "solver"},
     "demo": {"demo"},
