@@ -35,7 +35,12 @@ LOCAL = (
 
 @displayed
 class Incremental(NamedTuple):
-    """The attitude R(reference) R(x), with a unit quaternion (..., 4) and parameters x (..., 3)."""
+    """The attitude R(reference) R(x): a reference, and a parameter that stays near zero.
+
+    Fields:
+        reference: (..., 4), unit quaternions, no unit.
+        x: (..., 3), parameters in a local representation, such as MRP.
+    """
 
     reference: jax.Array
     x: jax.Array
@@ -43,18 +48,62 @@ class Incremental(NamedTuple):
 
 @takes(q="quaternion")
 def start(q: jax.Array) -> Incremental:
-    """Return the incremental attitude of a unit quaternion (..., 4), with x = 0."""
+    """Return the incremental attitude of a unit quaternion (..., 4), with x = 0.
+
+    Args:
+        q: (..., 4), unit quaternions, no unit.
+
+    Returns:
+        An `Incremental` with x = 0.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.incremental import start
+        >>> start([1.0, 0.0, 0.0, 0.0]).x.tolist()
+        [0.0, 0.0, 0.0]
+    """
     q = quaternion.normalize(q)
     return Incremental(q, jnp.zeros_like(q[..., :3]))
 
 
 def attitude(state: Incremental, local: str = "mrp") -> jax.Array:
-    """Return the unit quaternion (..., 4) of a state whose x is in the representation `local`."""
+    """Return the unit quaternion (..., 4) of a state whose x is in the representation `local`.
+
+    Args:
+        state: an `Incremental`.
+        local: name of the representation of x; one of `LOCAL`.
+
+    Returns:
+        (..., 4), unit quaternions, no unit.
+
+    Example:
+        >>> from rbjax.rotations.incremental import attitude, start
+        >>> attitude(start([1.0, 0.0, 0.0, 0.0])).tolist()
+        [1.0, 0.0, 0.0, 0.0]
+    """
     return quaternion.multiply(state.reference, _local(local).to_quaternion(state.x))
 
 
 def rate(state: Incremental, omega: jax.Array, local: str = "mrp") -> jax.Array:
-    """Compute x' (..., 3) from the angular velocity (..., 3) in body axes."""
+    """Compute x' (..., 3) from the angular velocity (..., 3) in body axes.
+
+    Args:
+        state: an `Incremental`.
+        omega: (..., 3), angular velocities in body axes, rad/s.
+        local: name of the representation of x; one of `LOCAL`.
+
+    Returns:
+        (..., 3), x', in the unit of x per second.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.incremental import rate, start
+        >>> here = start([1.0, 0.0, 0.0, 0.0])
+        >>> rate(here, jnp.array([0.0, 0.0, 1.0])).tolist()
+        [0.0, 0.0, 0.25]
+    """
     inverse = _local(local).inverse_body_rate_matrix(state.x)
     return matvec(inverse, omega)
 
@@ -65,10 +114,21 @@ def fold(state: Incremental, local: str = "mrp", margin: float | None = None) ->
     The attitude does not change. The default margin is half the distance from zero to the
     singularity.
 
-    >>> state = Incremental(quaternion.identity(), jnp.array([0.0, 0.0, 1.1]))
-    >>> state = fold(state)
-    >>> state.x.tolist(), attitude(state).round(3).tolist()
-    ([0.0, 0.0, 0.0], [-0.095, 0.0, 0.0, 0.995])
+    Args:
+        state: an `Incremental`.
+        local: name of the representation of x; one of `LOCAL`.
+        margin: least distance from the singularity, rad; None for half the distance of zero.
+
+    Returns:
+        An `Incremental` of the same attitude.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.incremental import Incremental, attitude, fold, quaternion
+        >>> state = Incremental(quaternion.identity(), jnp.array([0.0, 0.0, 1.1]))
+        >>> state = fold(state)
+        >>> state.x.tolist(), attitude(state).round(3).tolist()
+        ([0.0, 0.0, 0.0], [-0.095, 0.0, 0.0, 0.995])
     """
     rep = _local(local)
     left = rep.singularity_distance(state.x)
@@ -92,10 +152,23 @@ def integrate(
     omega is in body axes. The method is the classical Runge-Kutta method of order 4 on the local
     parameter, with one step from each time to the next and a `fold` after each step.
 
-    >>> ts = jnp.linspace(0.0, 10.0, 101)
-    >>> turned = integrate(lambda t, q: jnp.array([0.0, 0.0, 1.0]), quaternion.identity(), ts)
-    >>> bool(quaternion.distance(turned[-1], quaternion.exp([0.0, 0.0, 10.0])) < 1e-5)
-    True
+    Args:
+        omega: function (t, q (..., 4)) -> angular velocity in body axes (..., 3), rad/s.
+        q: (..., 4), initial unit quaternions, no unit.
+        ts: (T,), times, s.
+        local: name of the representation of x; one of `LOCAL`.
+        margin: as in `fold`, rad.
+
+    Returns:
+        (T, ..., 4), unit quaternions.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.incremental import integrate, quaternion
+        >>> ts = jnp.linspace(0.0, 10.0, 101)
+        >>> turned = integrate(lambda t, q: jnp.array([0.0, 0.0, 1.0]), quaternion.identity(), ts)
+        >>> bool(quaternion.distance(turned[-1], quaternion.exp([0.0, 0.0, 10.0])) < 1e-5)
+        True
     """
 
     def slope(t, reference, x):

@@ -2,8 +2,7 @@
 
 exp and log are series near the identity, so that values and all derivatives are finite and exact
 (Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and -q are
-the same rotation. If the sign is free, w >= 0. The arguments and results of functions on *lanes*
-are lists of scalars or (batch,) arrays.
+the same rotation. If the sign is free, w >= 0. The functions on *lanes* are in `quaternion_lanes`.
 """
 
 from __future__ import annotations
@@ -11,16 +10,22 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import safe_sqrt
 from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
-    arctan_over,
     inverse_left_jacobian,
     inverse_right_jacobian,
     left_jacobian,
     right_jacobian,
-    stumpff,
-    where,
+)
+from rbjax.rotations.quaternion_lanes import (
+    angle_lanes,
+    conjugate_lanes,
+    exp_lanes,
+    from_matrix_lanes,
+    log_lanes,
+    product,
+    sign_of,
+    turned,
 )
 
 __all__ = [
@@ -32,25 +37,83 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """Return the identity quaternion (1, 0, 0, 0)."""
+    """Return the identity quaternion (1, 0, 0, 0).
+
+    Args:
+        dtype: of the result; None for JAX's default.
+
+    Returns:
+        (4,), no unit.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import identity
+        >>> identity().tolist()
+        [1.0, 0.0, 0.0, 0.0]
+    """
     return jnp.array([1.0, 0.0, 0.0, 0.0], dtype)
 
 
 @takes(a="quaternion", b="quaternion")
 def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
-    """Multiply quaternions: a b is the rotation b followed by the rotation a."""
+    """Multiply quaternions: a b is the rotation b followed by the rotation a.
+
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+        b: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (..., 4), the product a b.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import multiply
+        >>> multiply([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]).tolist()
+        [0.0, 0.0, 0.0, 1.0]
+    """
     return stacked(product(entries(a), entries(b)))
 
 
 @takes(a="quaternion")
 def conjugate(a: jax.Array) -> jax.Array:
-    """Return the conjugate of a quaternion, the inverse of a unit quaternion."""
+    """Return the conjugate of a quaternion, the inverse of a unit quaternion.
+
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (..., 4), (w, -x, -y, -z).
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import conjugate
+        >>> (conjugate([0.0, 1.0, 0.0, 0.0]) + 0.0).tolist()
+        [0.0, -1.0, 0.0, 0.0]
+    """
     return jnp.where(jnp.arange(4) == 0, a, -a)
 
 
 @takes(a="quaternion")
 def normalize(a: jax.Array) -> jax.Array:
-    """Scale a quaternion to unit length: a / |a|."""
+    """Scale a quaternion to unit length: a / |a|.
+
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (..., 4), of unit length.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import normalize
+        >>> normalize([0.0, 0.0, 3.0, 4.0]).round(6).tolist()
+        [0.0, 0.0, 0.6, 0.7999999999999999]
+    """
     return a / jnp.sqrt((a * a).sum(-1, keepdims=True))
 
 
@@ -58,8 +121,20 @@ def normalize(a: jax.Array) -> jax.Array:
 def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
     """Rotate a vector by a unit quaternion: R(a) v = v + 2 w u x v + 2 u x (u x v).
 
-    >>> rotate([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).tolist()
-    [1.0, 2.0, 3.0]
+    Args:
+        a: (..., 4), unit quaternions.
+        v: (..., 3), vectors in any unit.
+
+    Returns:
+        (..., 3), the rotated vectors, in the unit of v.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import rotate
+        >>> rotate([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).tolist()
+        [1.0, 2.0, 3.0]
     """
     (w, x, y, z), (a1, a2, a3) = entries(a), entries(v)
     t1, t2, t3 = 2 * (y * a3 - z * a2), 2 * (z * a1 - x * a3), 2 * (x * a2 - y * a1)
@@ -77,6 +152,20 @@ def to_matrix(a: jax.Array) -> jax.Array:
     """Compute the rotation matrix (..., 3, 3) of a quaternion (..., 4) of any nonzero length.
 
     It is 1 + s [u](w + [u]) with s = 2 / |a|^2, computed in one pass over memory.
+
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (..., 3, 3), rotation matrices, no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import to_matrix
+        >>> to_matrix([0.0, 0.0, 0.0, 2.0]).tolist()
+        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     w, x, y, z = entries(a)
     turn = stacked([
@@ -92,17 +181,44 @@ def to_matrix(a: jax.Array) -> jax.Array:
 def from_matrix(R: jax.Array) -> jax.Array:
     """Compute the unit quaternion with w >= 0 of a rotation matrix (..., 3, 3).
 
-    >>> from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
-    [0.0, 1.0, 0.0, 0.0]
+    Args:
+        R: (..., 3, 3), rotation matrices, no unit.
+
+    Returns:
+        (..., 4), of unit length.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import from_matrix
+        >>> from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
+        [0.0, 1.0, 0.0, 0.0]
     """
     q = from_matrix_lanes(entries(R, 2))
-    shrink = _sign(q[0]) / jnp.sqrt(sum(a * a for a in q))
+    shrink = sign_of(q[0]) / jnp.sqrt(sum(a * a for a in q))
     return stacked([a * shrink for a in q])
 
 
 @takes(phi="vector")
 def exp(phi: jax.Array) -> jax.Array:
-    """Compute the quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector."""
+    """Compute the quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector.
+
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 4), of unit length.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.quaternion import exp
+        >>> exp([jnp.pi, 0.0, 0.0]).round(6).tolist()
+        [0.0, 1.0, 0.0, 0.0]
+    """
     return stacked(exp_lanes(entries(phi)))
 
 
@@ -112,6 +228,20 @@ def log(a: jax.Array) -> jax.Array:
 
     phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of two
     vectors is returned, and the derivative belongs to its branch.
+
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (..., 3), rotation vectors, rad.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import log
+        >>> log([0.0, 0.0, 1.0, 0.0]).tolist()
+        [0.0, 3.141592653589793, 0.0]
     """
     return stacked(log_lanes(entries(a)))
 
@@ -120,8 +250,19 @@ def log(a: jax.Array) -> jax.Array:
 def angle(a: jax.Array) -> jax.Array:
     """Compute the rotation angle (...), from 0 to pi, of a quaternion of any nonzero length.
 
-    >>> float(angle([0.0, 0.0, 2.0, 0.0]))
-    3.14159...
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (...), rad.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import angle
+        >>> float(angle([0.0, 0.0, 2.0, 0.0]))
+        3.141592653589793
     """
     w, *u = entries(a)
     return angle_lanes(w, u)
@@ -131,10 +272,22 @@ def angle(a: jax.Array) -> jax.Array:
 def distance(a: jax.Array, b: jax.Array) -> jax.Array:
     """Compute the angle (...), from 0 to pi, of the rotation from a to b.
 
-    >>> float(distance([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]))
-    3.14159...
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+        b: (..., 4), quaternions of nonzero length, no unit.
+
+    Returns:
+        (...), rad.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import distance
+        >>> float(distance([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]))
+        3.141592653589793
     """
-    w, *u = product(_conjugate(entries(a)), entries(b))
+    w, *u = product(conjugate_lanes(entries(a)), entries(b))
     return angle_lanes(w, u)
 
 
@@ -144,103 +297,42 @@ def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
 
     At s = 1 the result is b or -b.
 
-    >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
-    [0.707, 0.0, 0.0, 0.707]
+    Args:
+        a: (..., 4), quaternions of nonzero length, no unit.
+        b: (..., 4), quaternions of nonzero length, no unit.
+        s: (...), from 0 to 1.
+
+    Returns:
+        (..., 4), of the length of a.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a quaternion of length zero.
+
+    Example:
+        >>> from rbjax.rotations.quaternion import interpolate
+        >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
+        [0.707, 0.0, 0.0, 0.707]
     """
     p = entries(a)
-    turn = log_lanes(product(_conjugate(p), entries(b)))
+    turn = log_lanes(product(conjugate_lanes(p), entries(b)))
     return stacked(product(p, exp_lanes([s * x for x in turn])))
 
 
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
     """Draw unit quaternions (*shape, 4) uniformly over all rotations.
 
-    >>> random(jax.random.key(0), (5,)).shape
-    (5, 4)
+    Args:
+        key: a key of `jax.random`.
+        shape: leading axes of the result.
+        dtype: of the result; None for JAX's default.
+
+    Returns:
+        (*shape, 4), unit quaternions.
+
+    Example:
+        >>> import jax
+        >>> from rbjax.rotations.quaternion import random
+        >>> random(jax.random.key(0), (5,)).shape
+        (5, 4)
     """
     return normalize(jax.random.normal(key, (*shape, 4), dtype or jnp.result_type(float)))
-
-
-# ----------------------------------------------------------------------------------- on lanes
-
-
-def product(a: list, b: list) -> list:
-    """Compute the lanes of the quaternion product a b."""
-    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
-    return [
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ]
-
-
-def from_matrix_lanes(R: list) -> list:
-    """Compute a quaternion, of length from 2 to 4 and either sign, of a matrix given row by row.
-
-    It is 4 q_k (w, x, y, z) for the largest component q_k (Shepperd, 1978), without cancellation.
-    """
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = R
-    a, b, c = zy - yz, xz - zx, yx - xy
-    d, e, f = xy + yx, xz + zx, yz + zy
-    rows = [
-        [1 + (xx + yy + zz), a, b, c],
-        [a, 1 + (xx - yy - zz), d, e],
-        [b, d, 1 + (yy - xx - zz), f],
-        [c, e, f, 1 + (zz - xx - yy)],
-    ]
-    best, largest = rows[0], rows[0][0]
-    for k in (1, 2, 3):
-        larger = rows[k][k] > largest
-        best = [where(larger, new, old) for new, old in zip(rows[k], best, strict=True)]
-        largest = where(larger, rows[k][k], largest)
-    return best
-
-
-def exp_lanes(phi: list) -> list:
-    """Compute `exp` on lanes."""
-    px, py, pz = phi
-    cosine, sine = stumpff((px * px + py * py + pz * pz) / 4, 0, 1)
-    scale = sine / 2
-    return [cosine, px * scale, py * scale, pz * scale]
-
-
-def log_lanes(q: list) -> list:
-    """Compute `log` of a quaternion of any nonzero length, on lanes."""
-    w, x, y, z = q
-    sign = _sign(w)
-    scale = 2 * sign * arctan_over(w * sign, x * x + y * y + z * z)
-    return [x * scale, y * scale, z * scale]
-
-
-def angle_lanes(w: jax.Array, u: list) -> jax.Array:
-    """Compute the rotation angle, from 0 to pi, of a quaternion (w, u) of any nonzero length."""
-    square = sum(x * x for x in u)
-    return 2 * safe_sqrt(square) * arctan_over(w * _sign(w), square)
-
-
-def turned(q: list, phi: list) -> list:
-    """Rotate a quaternion q by phi in body axes: the lanes of the unit quaternion q exp(phi / 2).
-
-    It is computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once. A
-    division by a rounded length would bias all components, and the bias accumulates over steps.
-    """
-    px, py, pz = phi
-    square = (px * px + py * py + pz * pz) / 4
-    sine, versine = stumpff(square, 1, 2)
-    scale = sine / 2
-    step = product(q, [-square * versine, px * scale, py * scale, pz * scale])
-    length_squared = sum(a * a for a in q)
-    missing = (1 - length_squared) / (jnp.sqrt(length_squared) + length_squared)  # 1 / |q| - 1
-    return [a + (missing * a + (1 + missing) * b) for a, b in zip(q, step, strict=True)]
-
-
-def _conjugate(q: list) -> list:
-    w, x, y, z = q
-    return [w, -x, -y, -z]
-
-
-def _sign(w: jax.Array) -> jax.Array:
-    """Return -1 if w < 0, else 1."""
-    w = jnp.asarray(w)
-    return where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))

@@ -171,8 +171,22 @@ def representations() -> MappingProxyType[str, Representation]:
 def convert(x: jax.Array, source: str, target: str) -> jax.Array:
     """Convert parameters x (..., n) from one representation to another, given by their names.
 
-    >>> convert([0.0, 0.0, jnp.pi / 2], "euler_vector", "mrp").tolist()
-    [0.0, 0.0, 0.4142...]
+    Args:
+        x: (..., n), parameters in the unit of their representation; angles in rad.
+        source: name of the representation of x; one of `representations()`.
+        target: name of the representation of the result.
+
+    Returns:
+        (..., m), parameters of the same attitude.
+
+    Raises:
+        UnknownName: no such representation.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations import convert
+        >>> convert([0.0, 0.0, jnp.pi / 2], "euler_vector", "mrp").tolist()
+        [0.0, 0.0, 0.41421356237309503]
     """
     return find(target).from_quaternion(find(source).to_quaternion(x))
 

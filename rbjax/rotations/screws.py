@@ -23,7 +23,14 @@ __all__ = [
 
 @displayed
 class Screw(NamedTuple):
-    """A screw: the line along a unit `axis` through `point`, `pitch` (m/rad) and `magnitude`."""
+    """A screw: a line with a pitch and a magnitude.
+
+    Fields:
+        axis: (..., 3), unit vectors along the lines, no unit.
+        point: (..., 3), points of the lines, m.
+        pitch: (...), m/rad; infinite for a pure translation.
+        magnitude: (...), of the angular part; of the linear part if the pitch is infinite.
+    """
 
     axis: jax.Array
     point: jax.Array
@@ -37,9 +44,20 @@ def from_twist(twist: jax.Array) -> Screw:
 
     The zero twist has the axis z and the magnitude 0.
 
-    >>> s = from_twist([0.0, 0.0, 2.0, 0.0, -2.0, 6.0])
-    >>> s.axis.tolist(), abs(s.point).tolist(), float(s.pitch), float(s.magnitude)
-    ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 3.0, 2.0)
+    Args:
+        twist: (..., 6), angular first: rad/s, then m/s.
+
+    Returns:
+        A `Screw`.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.screws import from_twist
+        >>> s = from_twist([0.0, 0.0, 2.0, 0.0, -2.0, 6.0])
+        >>> s.axis.tolist(), abs(s.point).tolist(), float(s.pitch), float(s.magnitude)
+        ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 3.0, 2.0)
     """
     parts = entries(twist)
     omega, v = Vec3(*parts[:3]), Vec3(*parts[3:])
@@ -63,8 +81,23 @@ def from_twist(twist: jax.Array) -> Screw:
 def to_twist(axis: jax.Array, point: jax.Array, pitch: jax.Array, magnitude: jax.Array):
     """Compute the twist (..., 6) of a screw. An infinite pitch means a pure translation.
 
-    >>> to_twist([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], jnp.inf, 2.0).tolist()
-    [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
+    Args:
+        axis: (..., 3), unit vectors, no unit.
+        point: (..., 3), points of the lines, m.
+        pitch: (...), m/rad; may be infinite.
+        magnitude: (...), rad/s, or m/s for an infinite pitch.
+
+    Returns:
+        (..., 6), angular first: rad/s, then m/s.
+
+    Raises:
+        InputError: another shape, or values that are not finite, except the pitch.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.screws import to_twist
+        >>> to_twist([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], jnp.inf, 2.0).tolist()
+        [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
     """
     s, r = Vec3(*entries(axis)), Vec3(*entries(point))
     turns = jnp.isfinite(pitch)

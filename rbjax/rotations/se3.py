@@ -10,20 +10,24 @@ phi and its derivative Q along rho, and is computed in this way.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix, safe_sqrt
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
-from rbjax.rotations.coefficients import (
-    inverse_jacobian_coefficient,
-    inverse_left_lanes,
-    left_lanes,
-    stumpff,
+from rbjax.rotations.coefficients import inverse_jacobian_coefficient, stumpff
+from rbjax.rotations.pose_derivatives import (
+    body_twist,
+    inverse_left_jacobian,
+    inverse_right_jacobian,
+    left_jacobian,
+    rate_from_body_twist,
+    rate_from_space_twist,
+    right_jacobian,
+    space_twist,
 )
+from rbjax.rotations.pose_lanes import halves, lower_blocks, pose_of
 
 __all__ = [
     "identity", "pose", "hat", "vee", "exp", "log", "compose", "inverse", "interpolate", "distance",
@@ -34,7 +38,19 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """Return the identity pose (4, 4)."""
+    """Return the identity pose (4, 4).
+
+    Args:
+        dtype: of the result; None for JAX's default.
+
+    Returns:
+        (4, 4), no unit.
+
+    Example:
+        >>> from rbjax.rotations.se3 import identity
+        >>> identity()[3].tolist()
+        [0.0, 0.0, 0.0, 1.0]
+    """
     return jnp.eye(4, dtype=dtype)
 
 
@@ -42,18 +58,42 @@ def identity(dtype=None) -> jax.Array:
 def pose(R: jax.Array, p: jax.Array) -> jax.Array:
     """Assemble the pose [R p; 0 1] (..., 4, 4).
 
-    >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
-    [1.0, 2.0, 3.0]
+    Args:
+        R: (..., 3, 3), rotation matrices, no unit.
+        p: (..., 3), positions, m.
+
+    Returns:
+        (..., 4, 4), with lengths in m.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.se3 import pose
+        >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
+        [1.0, 2.0, 3.0]
     """
-    return _pose(entries(R, 2), entries(p))
+    return pose_of(entries(R, 2), entries(p))
 
 
 @takes(xi="twist")
 def hat(xi: jax.Array) -> jax.Array:
     """Return the matrix [xi] (..., 4, 4) of a twist (..., 6).
 
-    >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
-    [0.0, -1.0, 0.0, 4.0]
+    Args:
+        xi: (..., 6), twists, angular first: rad, then m.
+
+    Returns:
+        (..., 4, 4), in the units of xi.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.se3 import hat
+        >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
+        [0.0, -1.0, 0.0, 4.0]
     """
     x, y, z, a, b, c = entries(xi)
     o = jnp.zeros_like(x)
@@ -62,7 +102,22 @@ def hat(xi: jax.Array) -> jax.Array:
 
 @takes(W="matrix4")
 def vee(W: jax.Array) -> jax.Array:
-    """Return the twist xi (..., 6) of a matrix [xi], from the skew part of its 3 by 3 block."""
+    """Return the twist xi (..., 6) of a matrix [xi], from the skew part of its 3 by 3 block.
+
+    Args:
+        W: (..., 4, 4), matrices [xi].
+
+    Returns:
+        (..., 6), in the units of W.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.se3 import hat, vee
+        >>> vee(hat([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).tolist()
+        [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    """
     m = entries(W, 2)
     skew = [(m[9] - m[6]) / 2, (m[2] - m[8]) / 2, (m[4] - m[1]) / 2]
     return stacked([*skew, m[3], m[7], m[11]])
@@ -72,22 +127,45 @@ def vee(W: jax.Array) -> jax.Array:
 def exp(xi: jax.Array) -> jax.Array:
     """Compute the pose [exp(phi), J_l(phi) rho] that the constant twist xi reaches in unit time.
 
-    >>> exp([0.0, 0.0, jnp.pi, 0.0, 1.0, 0.0])[:3, 3].round(6).tolist()
-    [-0.63662, 0.0, 0.0]
+    Args:
+        xi: (..., 6), twists, angular first: rad, then m.
+
+    Returns:
+        (..., 4, 4), with lengths in m.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.se3 import exp
+        >>> exp([0.0, 0.0, jnp.pi, 0.0, 1.0, 0.0])[:3, 3].round(6).tolist()
+        [-0.63662, 0.0, 0.0]
     """
-    phi, rho = _halves(entries(xi))
+    phi, rho = halves(entries(xi))
     c2, c3 = stumpff(phi.dot(phi), 2, 3)
     once = phi.cross(rho)
     R = quaternion_matrix(*quaternion.exp_lanes(list(phi)))
-    return _pose(R, rho + c2 * once + c3 * phi.cross(once))
+    return pose_of(R, rho + c2 * once + c3 * phi.cross(once))
 
 
 @takes(T="pose")
 def log(T: jax.Array) -> jax.Array:
     """Compute the twist xi (..., 6) with exp(xi) = T and an angle of at most pi.
 
-    >>> jnp.allclose(log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])), jnp.array([0.1, 0.2, 0.3, 4, 5, 6]))
-    Array(True, dtype=bool)
+    Args:
+        T: (..., 4, 4), poses, with lengths in m.
+
+    Returns:
+        (..., 6), twists, angular first: rad, then m.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations.se3 import exp, log
+        >>> log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])).round(6).tolist()
+        [0.09999999999999999, 0.19999999999999998, 0.3, 4.0, 5.0, 6.0]
     """
     R, p = pose_parts(T)
     phi = Vec3(*quaternion.log_lanes(quaternion.from_matrix_lanes(list(R))))
@@ -98,31 +176,94 @@ def log(T: jax.Array) -> jax.Array:
 
 @takes(A="pose", B="pose")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
-    """Multiply poses: A B."""
+    """Multiply poses: A B.
+
+    Args:
+        A: (..., 4, 4), poses, with lengths in m.
+        B: (..., 4, 4), poses, with lengths in m.
+
+    Returns:
+        (..., 4, 4), A B.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations.se3 import compose, exp
+        >>> ahead = exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+        >>> compose(ahead, ahead)[:3, 3].tolist()
+        [2.0, 0.0, 0.0]
+    """
     (R, p), (S, r) = pose_parts(A), pose_parts(B)
-    return _pose(R @ S, p + R @ r)
+    return pose_of(R @ S, p + R @ r)
 
 
 @takes(T="pose")
 def inverse(T: jax.Array) -> jax.Array:
-    """Compute the inverse pose [R^T, -R^T p]."""
+    """Compute the inverse pose [R^T, -R^T p].
+
+    Args:
+        T: (..., 4, 4), poses, with lengths in m.
+
+    Returns:
+        (..., 4, 4), with lengths in m.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations.se3 import exp, inverse
+        >>> inverse(exp([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))[:3, 3].tolist()
+        [-1.0, -2.0, -3.0]
+    """
     R, p = pose_parts(T)
-    return _pose(R.T, -(R.T @ p))
+    return pose_of(R.T, -(R.T @ p))
 
 
 @takes(A="pose", B="pose", s="scalar")
 def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
     """Interpolate along the screw motion A exp(s log(A^-1 B)) from A (s = 0) to B (s = 1).
 
-    >>> interpolate(identity(), exp([0.0, 0.0, 0.2, 0.0, 0.0, 2.0]), 0.5)[2, 3].round(6).item()
-    1.0
+    Args:
+        A: (..., 4, 4), poses, with lengths in m.
+        B: (..., 4, 4), poses, with lengths in m.
+        s: (...), from 0 to 1.
+
+    Returns:
+        (..., 4, 4), with lengths in m.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations.se3 import exp, identity, interpolate
+        >>> screw = exp([0.0, 0.0, 0.2, 0.0, 0.0, 2.0])
+        >>> interpolate(identity(), screw, 0.5)[2, 3].round(6).item()
+        1.0
     """
     return compose(A, exp(s[..., None] * log(compose(inverse(A), B))))
 
 
 @takes(A="pose", B="pose")
 def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the rotation angle and the translation distance from A to B."""
+    """Compute the rotation angle and the translation distance from A to B.
+
+    Args:
+        A: (..., 4, 4), poses, with lengths in m.
+        B: (..., 4, 4), poses, with lengths in m.
+
+    Returns:
+        The angle (...), rad, and the distance (...), m.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations.se3 import distance, exp, identity
+        >>> turn, way = distance(identity(), exp([0.0, 0.0, 0.2, 0.0, 0.0, 2.0]))
+        >>> round(float(turn), 6), round(float(way), 6)
+        (0.2, 2.0)
+    """
     (R, p), (S, r) = pose_parts(A), pose_parts(B)
     w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
     d = r - p
@@ -133,110 +274,44 @@ def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
 def adjoint(T: jax.Array) -> jax.Array:
     """Compute the adjoint matrix [[R, 0], [[p] R, R]] (..., 6, 6), which maps twists to the parent.
 
-    >>> (adjoint(exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
-    [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
+    Args:
+        T: (..., 4, 4), poses, with lengths in m.
+
+    Returns:
+        (..., 6, 6); its lower left block is in m, the others have no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.se3 import adjoint, exp
+        >>> T = exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+        >>> (adjoint(T) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
+        [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
     """
     R, p = pose_parts(T)
-    return _blocks(list(R), list(Mat3.skew(p) @ R))
+    return lower_blocks(list(R), list(Mat3.skew(p) @ R))
 
 
 @takes(xi="twist")
 def ad(xi: jax.Array) -> jax.Array:
-    """Compute ad(xi) = [[[phi], 0], [[rho], [phi]]] (..., 6, 6). ad(a) b is the Lie bracket."""
-    phi, rho = _halves(entries(xi))
-    return _blocks(list(Mat3.skew(phi)), list(Mat3.skew(rho)))
+    """Compute ad(xi) = [[[phi], 0], [[rho], [phi]]] (..., 6, 6). ad(a) b is the Lie bracket.
 
+    Args:
+        xi: (..., 6), twists, angular first: rad, then m.
 
-@takes(xi="twist")
-def left_jacobian(xi: jax.Array) -> jax.Array:
-    """Compute J_l (..., 6, 6) of exp(xi + d) = exp(J_l d) exp(xi), with V_space = J_l xi'."""
-    return _dual(left_lanes, entries(xi))
+    Returns:
+        (..., 6, 6); its lower left block is in m, the others have no unit.
 
+    Raises:
+        InputError: another shape, or values that are not finite.
 
-@takes(xi="twist")
-def right_jacobian(xi: jax.Array) -> jax.Array:
-    """Compute J_r (..., 6, 6) of exp(xi + d) = exp(xi) exp(J_r d), with V_body = J_r xi'."""
-    return _dual(left_lanes, entries(-xi))
-
-
-@takes(xi="twist")
-def inverse_left_jacobian(xi: jax.Array) -> jax.Array:
-    """Compute J_l^-1 (..., 6, 6), with xi' = J_l^-1 V_space, for angles below 2 pi."""
-    return _dual(inverse_left_lanes, entries(xi))
-
-
-@takes(xi="twist")
-def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
-    """Compute J_r^-1 (..., 6, 6), with xi' = J_r^-1 V_body, for angles below 2 pi."""
-    return _dual(inverse_left_lanes, entries(-xi))
-
-
-# ----------------------------------------------------------------------- pose kinematics
-
-
-@takes(T="pose", V="twist")
-def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
-    """Compute the rate of a pose, T' = T [V_body] (..., 4, 4)."""
-    R, _ = pose_parts(T)
-    omega, v = _halves(entries(V))
-    return _bottomed(R @ Mat3.skew(omega), R @ v, 0.0)
-
-
-@takes(T="pose", V="twist")
-def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
-    """Compute the rate of a pose, T' = [V_space] T (..., 4, 4)."""
-    R, p = pose_parts(T)
-    omega, v = _halves(entries(V))
-    return _bottomed(Mat3.skew(omega) @ R, omega.cross(p) + v, 0.0)
-
-
-@takes(T="pose", dT="matrix4")
-def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
-    """Compute the body twist V_body (..., 6), with [V_body] = T^-1 T'.
-
-    >>> body_twist(identity(), hat([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).tolist()
-    [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.se3 import ad
+        >>> (ad([0.0, 0, 1, 0, 0, 0]) @ jnp.array([1.0, 0, 0, 0, 0, 0])).tolist()
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
     """
-    (R, _), (dR, dp) = pose_parts(T), pose_parts(dT)
-    return stacked([*_vee(R.T @ dR), *(R.T @ dp)])
-
-
-@takes(T="pose", dT="matrix4")
-def space_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
-    """Compute the space twist V_space (..., 6), with [V_space] = T' T^-1."""
-    (R, p), (dR, dp) = pose_parts(T), pose_parts(dT)
-    omega = _vee(dR @ R.T)
-    return stacked([*omega, *(dp - omega.cross(p))])
-
-
-# ------------------------------------------------------------------------------- on lanes
-
-
-def _pose(R, p) -> jax.Array:
-    return _bottomed(R, p, 1.0)
-
-
-def _bottomed(R, p, corner: float) -> jax.Array:
-    r, p = list(R), list(p)
-    return stacked([*r[0:3], p[0], *r[3:6], p[1], *r[6:9], p[2], 0.0, 0.0, 0.0, corner], 4, 4)
-
-
-def _halves(xi: list) -> tuple[Vec3, Vec3]:
-    return Vec3(*xi[:3]), Vec3(*xi[3:])
-
-
-def _vee(W: Mat3) -> Vec3:
-    return 0.5 * Vec3(W[7] - W[5], W[2] - W[6], W[3] - W[1])
-
-
-def _blocks(A: list, B: list) -> jax.Array:
-    """Assemble the block matrix [[A, 0], [B, A]] (..., 6, 6)."""
-    rows = [[*A[3 * i : 3 * i + 3], 0.0, 0.0, 0.0] for i in range(3)]
-    rows += [[*B[3 * i : 3 * i + 3], *A[3 * i : 3 * i + 3]] for i in range(3)]
-    return stacked([x for row in rows for x in row], 6, 6)
-
-
-def _dual(J: Callable[[list], list], xi: list) -> jax.Array:
-    """Compute the 6 by 6 Jacobian [[J, 0], [Q, J]] of xi = (phi, rho) from the Jacobian J of SO(3).
-    Q is the derivative of J at phi along rho."""
-    return _blocks(*jax.jvp(J, (xi[:3],), (xi[3:],)))
+    phi, rho = halves(entries(xi))
+    return lower_blocks(list(Mat3.skew(phi)), list(Mat3.skew(rho)))

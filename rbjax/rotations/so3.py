@@ -31,7 +31,19 @@ __all__ = [
 
 
 def identity(dtype=None) -> jax.Array:
-    """Return the identity matrix (3, 3)."""
+    """Return the identity matrix (3, 3).
+
+    Args:
+        dtype: of the result; None for JAX's default.
+
+    Returns:
+        (3, 3), no unit.
+
+    Example:
+        >>> from rbjax.rotations.so3 import identity
+        >>> identity().tolist()
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     return jnp.eye(3, dtype=dtype)
 
 
@@ -39,8 +51,19 @@ def identity(dtype=None) -> jax.Array:
 def hat(phi: jax.Array) -> jax.Array:
     """Return the skew-symmetric matrix [phi] (..., 3, 3), with [phi] a = phi x a.
 
-    >>> hat([1.0, 2.0, 3.0]).tolist()
-    [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), skew-symmetric, in the unit of phi.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import hat
+        >>> hat([1.0, 2.0, 3.0]).tolist()
+        [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
     """
     x, y, z = entries(phi)
     o = jnp.zeros_like(x)
@@ -51,8 +74,19 @@ def hat(phi: jax.Array) -> jax.Array:
 def vee(W: jax.Array) -> jax.Array:
     """Return the vector phi (..., 3) of the skew-symmetric part [phi] of a matrix.
 
-    >>> vee(hat([1.0, 2.0, 3.0])).tolist()
-    [1.0, 2.0, 3.0]
+    Args:
+        W: (..., 3, 3), any matrices.
+
+    Returns:
+        (..., 3), in the unit of W.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import hat, vee
+        >>> vee(hat([1.0, 2.0, 3.0])).tolist()
+        [1.0, 2.0, 3.0]
     """
     _, xy, xz, yx, _, yz, zx, zy, _ = entries(W, 2)
     return stacked([(zy - yz) / 2, (xz - zx) / 2, (yx - xy) / 2])
@@ -62,8 +96,20 @@ def vee(W: jax.Array) -> jax.Array:
 def exp(phi: jax.Array) -> jax.Array:
     """Compute the rotation matrix (..., 3, 3) of the rotation by |phi| about phi (..., 3).
 
-    >>> exp([0.0, 0.0, jnp.pi / 2]).round(6).tolist()
-    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), rotation matrices, no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.so3 import exp
+        >>> exp([0.0, 0.0, jnp.pi / 2]).round(6).tolist()
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     """
     return stacked(quaternion_matrix(*quaternion.exp_lanes(entries(phi))), 3, 3)
 
@@ -75,21 +121,64 @@ def log(R: jax.Array) -> jax.Array:
     The angle pi is a genuine singularity: one of two vectors is returned, and the derivative
     belongs to its branch.
 
-    >>> log([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
-    [0.0, 3.14159..., 0.0]
+    Args:
+        R: (..., 3, 3), rotation matrices, no unit.
+
+    Returns:
+        (..., 3), rad.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.so3 import log
+        >>> log([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
+        [0.0, 3.141592653589793, 0.0]
     """
     return stacked(quaternion.log_lanes(quaternion.from_matrix_lanes(entries(R, 2))))
 
 
 @takes(A="rotation", B="rotation")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
-    """Multiply rotation matrices: A B is the rotation B followed by the rotation A."""
+    """Multiply rotation matrices: A B is the rotation B followed by the rotation A.
+
+    Args:
+        A: (..., 3, 3), rotation matrices, no unit.
+        B: (..., 3, 3), rotation matrices, no unit.
+
+    Returns:
+        (..., 3, 3), the product A B.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.so3 import compose, exp
+        >>> compose(exp([0.0, 0.0, 1.0]), exp([0.0, 0.0, -1.0])).round(6).tolist()
+        [[1.0, -0.0, 0.0], [-0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     return stacked(Mat3(*entries(A, 2)) @ Mat3(*entries(B, 2)), 3, 3)
 
 
 @takes(R="rotation")
 def inverse(R: jax.Array) -> jax.Array:
-    """Return the inverse rotation R^T."""
+    """Return the inverse rotation R^T.
+
+    Args:
+        R: (..., 3, 3), rotation matrices, no unit.
+
+    Returns:
+        (..., 3, 3), R^T.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.so3 import exp, inverse, log
+        >>> R = exp([0.1, 0.2, 0.3])
+        >>> log(inverse(R)).round(6).tolist()
+        [-0.09999999999999999, -0.19999999999999998, -0.3]
+    """
     return jnp.swapaxes(R, -1, -2)
 
 
@@ -97,8 +186,20 @@ def inverse(R: jax.Array) -> jax.Array:
 def distance(A: jax.Array, B: jax.Array) -> jax.Array:
     """Compute the angle (...), from 0 to pi, of the rotation from A to B.
 
-    >>> float(distance(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1])).round(6))
-    1.0
+    Args:
+        A: (..., 3, 3), rotation matrices, no unit.
+        B: (..., 3, 3), rotation matrices, no unit.
+
+    Returns:
+        (...), rad.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.so3 import distance, exp
+        >>> float(distance(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1])).round(6))
+        1.0
     """
     return quaternion.distance(quaternion.from_matrix(A), quaternion.from_matrix(B))
 
@@ -107,8 +208,21 @@ def distance(A: jax.Array, B: jax.Array) -> jax.Array:
 def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
     """Interpolate along the geodesic A exp(s log(A^T B)) from A (s = 0) to B (s = 1).
 
-    >>> log(interpolate(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1]), 0.5)).round(6).tolist()
-    [0.0, 0.0, 0.6]
+    Args:
+        A: (..., 3, 3), rotation matrices, no unit.
+        B: (..., 3, 3), rotation matrices, no unit.
+        s: (...), from 0 to 1.
+
+    Returns:
+        (..., 3, 3), rotation matrices.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> from rbjax.rotations.so3 import exp, interpolate, log
+        >>> log(interpolate(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1]), 0.5)).round(6).tolist()
+        [0.0, 0.0, 0.6]
     """
     a, b = Mat3(*entries(A, 2)), Mat3(*entries(B, 2))
     turn = quaternion.log_lanes(quaternion.from_matrix_lanes(list(a.T @ b)))
@@ -119,8 +233,19 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
     """Draw rotation matrices (*shape, 3, 3) uniformly over SO(3) (Haar measure).
 
-    >>> random(jax.random.key(0), (5,)).shape
-    (5, 3, 3)
+    Args:
+        key: a key of `jax.random`.
+        shape: leading axes of the result.
+        dtype: of the result; None for JAX's default.
+
+    Returns:
+        (*shape, 3, 3), rotation matrices, no unit.
+
+    Example:
+        >>> import jax
+        >>> from rbjax.rotations.so3 import random
+        >>> random(jax.random.key(0), (5,)).shape
+        (5, 3, 3)
     """
     return quaternion.to_matrix(quaternion.random(key, shape, dtype))
 
@@ -131,8 +256,20 @@ def project(M: jax.Array) -> jax.Array:
     It is not unique if `projection_margin` is 0. If M is not traced, this raises `InputError`. If M
     is traced, one of the nearest rotations is returned, with finite derivatives.
 
-    >>> project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]).round(6).tolist()
-    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    Args:
+        M: (..., 3, 3), any matrices.
+
+    Returns:
+        (..., 3, 3), the nearest rotation matrices, no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or a nearest rotation that is not
+            unique.
+
+    Example:
+        >>> from rbjax.rotations.so3 import project
+        >>> project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]).round(6).tolist()
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     margin = projection_margin(M)
     if not isinstance(margin, jax.core.Tracer):
@@ -151,8 +288,20 @@ def projection_margin(M: jax.Array) -> jax.Array:
 
     It is 2 for a rotation, and 0 if the nearest rotation is not unique (rank 1, or a reflection).
 
-    >>> float(projection_margin(jnp.diag(jnp.array([1.0, 1.0, -1.0]))))
-    0.0
+    Args:
+        M: (..., 3, 3), any matrices.
+
+    Returns:
+        (...), from 0 to 2, no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations.so3 import projection_margin
+        >>> float(projection_margin(jnp.diag(jnp.array([1.0, 1.0, -1.0]))))
+        0.0
     """
     U, s, Vt = jnp.linalg.svd(M)
     sign = jnp.where(_determinant(U) * _determinant(Vt) < 0, -1.0, 1.0)

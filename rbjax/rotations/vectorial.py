@@ -213,8 +213,19 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
 
     The shadow of p = 0 is infinite. The result is then finite, without nan.
 
-    >>> mrp_shadow([0.0, 0.0, 2.0]).tolist()
-    [-0.0, -0.0, -0.5]
+    Args:
+        p: (..., 3), modified Rodrigues parameters, no unit.
+
+    Returns:
+        (..., 3), MRP of the same attitude, no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations import mrp_shadow
+        >>> mrp_shadow([0.0, 0.0, 2.0]).tolist()
+        [-0.0, -0.0, -0.5]
     """
     x = entries(p)
     scale = -1 / away_from_zero(_square(x))
@@ -225,8 +236,19 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
 def mrp_short(p: jax.Array) -> jax.Array:
     """Return p or its shadow, whichever is shorter, with length at most 1 and angle at most pi.
 
-    >>> mrp_short([0.0, 0.0, 2.0]).tolist(), mrp_short([0.0, 0.0, 0.5]).tolist()
-    ([-0.0, -0.0, -0.5], [0.0, 0.0, 0.5])
+    Args:
+        p: (..., 3), modified Rodrigues parameters, no unit.
+
+    Returns:
+        (..., 3), MRP of the same attitude, no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations import mrp_short
+        >>> mrp_short([0.0, 0.0, 2.0]).tolist(), mrp_short([0.0, 0.0, 0.5]).tolist()
+        ([-0.0, -0.0, -0.5], [0.0, 0.0, 0.5])
     """
     long = (p * p).sum(-1, keepdims=True) > 1
     return jnp.where(long, mrp_shadow(jnp.where(long, p, 1.0)), p)

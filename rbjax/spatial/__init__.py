@@ -7,44 +7,48 @@ algorithms.
 
 from rbjax.spatial import operators, shapes
 from rbjax.spatial.mass import (
-    Consistency,
     MassProperties,
     PrincipalAxes,
-    check_mass_properties,
-    consistency,
-    ellipsoid_margin,
-    from_pseudo_inertia,
     kinetic_energy,
     mass_properties,
     momentum,
     parallel_axes,
     principal_axes,
-    pseudo_inertia,
     rotate_inertia,
     spatial_inertia,
     transform_inertia,
     transform_properties,
 )
+from rbjax.spatial.mass_conditions import (
+    Consistency,
+    check_mass_properties,
+    consistency,
+    ellipsoid_margin,
+    from_pseudo_inertia,
+    pseudo_inertia,
+)
 from rbjax.spatial.plucker import (
-    central_axis,
     extended_cross,
     extended_rotation,
     extended_translation,
-    force_at,
     force_cross,
     force_cross_matrix,
     force_transform,
-    merge_wrenches,
     motion_cross,
     motion_cross_matrix,
     motion_transform,
-    power,
     transform_force,
     transform_motion,
+)
+from rbjax.spatial.vectors import ArticulatedInertia, Force, Motion, RigidInertia, Transform
+from rbjax.spatial.wrenches import (
+    central_axis,
+    force_at,
+    merge_wrenches,
+    power,
     twist_at,
     wrench_at,
 )
-from rbjax.spatial.vectors import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 
 __all__ = [
     "ArticulatedInertia",

@@ -8,9 +8,7 @@ which they are expressed. T (..., 4, 4) is the pose of a frame B in A: R = R_AB 
 
 X is the product of extended_translation(p) and extended_rotation(R) of Olguin Diaz, who puts the
 linear part first. A motion m and a force f that are fixed in a frame of twist V have the rates
-V x m and V x* f. If only the reference point changes, by r from O to P (Olguin Diaz, ch. 4-5):
-
-    v_P = v_O + omega x r,    n_P = n_O - r x f
+V x m and V x* f.
 """
 
 from __future__ import annotations
@@ -18,9 +16,8 @@ from __future__ import annotations
 import jax
 
 from rbjax.lanes import Mat3, Vec3
-from rbjax.rotations import screws, se3
+from rbjax.rotations import se3
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
-from rbjax.rotations.screws import Screw
 from rbjax.spatial.vectors import Force, Motion, Transform
 
 
@@ -28,8 +25,20 @@ from rbjax.spatial.vectors import Force, Motion, Transform
 def motion_transform(T: jax.Array) -> jax.Array:
     """Compute the motion transform X_AB (..., 6, 6), which is Ad(T).
 
-    >>> motion_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 2].tolist()
-    [0.0, 0.0, 1.0, 0.0, -2.0, 0.0]
+    Args:
+        T: (..., 4, 4), pose of B in A, with lengths in m.
+
+    Returns:
+        (..., 6, 6); the off-diagonal block is in m, the others have no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations import se3
+        >>> from rbjax.spatial import motion_transform
+        >>> motion_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 2].tolist()
+        [0.0, 0.0, 1.0, 0.0, -2.0, 0.0]
     """
     return se3.adjoint(T)
 
@@ -39,8 +48,20 @@ def force_transform(T: jax.Array) -> jax.Array:
     """Compute the force transform X*_AB (..., 6, 6) from the pose T of frame B in frame A: it maps
     forces from B to A.
 
-    >>> force_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 4].tolist()
-    [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
+    Args:
+        T: (..., 4, 4), pose of B in A, with lengths in m.
+
+    Returns:
+        (..., 6, 6); the off-diagonal block is in m, the others have no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations import se3
+        >>> from rbjax.spatial import force_transform
+        >>> force_transform(se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0]))[:, 4].tolist()
+        [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
     """
     R, p = pose_parts(T)
     return _blocks(R, Mat3.skew(p) @ R, Mat3.zero(), R)
@@ -48,19 +69,71 @@ def force_transform(T: jax.Array) -> jax.Array:
 
 @takes(T="pose", V="twist")
 def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
-    """Transform a motion: X_AB V (..., 6) = (R omega, R v + p x R omega)."""
+    """Transform a motion: X_AB V (..., 6) = (R omega, R v + p x R omega).
+
+    Args:
+        T: (..., 4, 4), pose of B in A, with lengths in m.
+        V: (..., 6), twists, rad/s, then m/s.
+
+    Returns:
+        (..., 6), in A, in the units of V.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations import se3
+        >>> from rbjax.spatial import transform_motion
+        >>> T = se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0])
+        >>> transform_motion(T, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).tolist()
+        [0.0, 0.0, 1.0, 0.0, -2.0, 0.0]
+    """
     return stacked(Transform(*pose_parts(T)).motion_to_parent(_motion(V)))
 
 
 @takes(T="pose", F="twist")
 def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
-    """Transform a force: X*_AB F (..., 6) = (R n + p x R f, R f)."""
+    """Transform a force: X*_AB F (..., 6) = (R n + p x R f, R f).
+
+    Args:
+        T: (..., 4, 4), pose of B in A, with lengths in m.
+        F: (..., 6), wrenches, N m, then N.
+
+    Returns:
+        (..., 6), in A, N m, then N.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not poses.
+
+    Example:
+        >>> from rbjax.rotations import se3
+        >>> from rbjax.spatial import transform_force
+        >>> T = se3.exp([0.0, 0.0, 0.0, 2.0, 0.0, 0.0])
+        >>> transform_force(T, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
+        [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
+    """
     return stacked(Transform(*pose_parts(T)).T(_force(F)))
 
 
 @takes(R="rotation")
 def extended_rotation(R: jax.Array) -> jax.Array:
-    """Compute diag(R, R) (..., 6, 6), the change of axes of motions and of forces."""
+    """Compute diag(R, R) (..., 6, 6), the change of axes of motions and of forces.
+
+    Args:
+        R: (..., 3, 3), no unit.
+
+    Returns:
+        (..., 6, 6), no unit.
+
+    Raises:
+        InputError: another shape, values that are not finite, or matrices that are not rotations.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.spatial import extended_rotation
+        >>> extended_rotation(jnp.eye(3)).shape
+        (6, 6)
+    """
     r = Mat3(*entries(R, 2))
     return _blocks(r, Mat3.zero(), Mat3.zero(), r)
 
@@ -70,6 +143,20 @@ def extended_translation(p: jax.Array) -> jax.Array:
     """Compute [1, 0; [p], 1] (..., 6, 6), which maps a motion at p to the origin.
 
     Its transpose maps a force at the origin to p.
+
+    Args:
+        p: (..., 3), m.
+
+    Returns:
+        (..., 6, 6); the lower left block is in m.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import extended_translation
+        >>> extended_translation([2.0, 0.0, 0.0])[4].tolist()
+        [0.0, 0.0, -2.0, 0.0, 1.0, 0.0]
     """
     one = Mat3.identity()
     return _blocks(one, Mat3.zero(), Mat3.skew(Vec3(*entries(p))), one)
@@ -80,6 +167,20 @@ def extended_cross(omega: jax.Array) -> jax.Array:
     """Compute diag([omega], [omega]) (..., 6, 6), with omega in body axes.
 
     d/dt extended_rotation(R) = extended_rotation(R) extended_cross(omega)
+
+    Args:
+        omega: (..., 3), in body axes, rad/s.
+
+    Returns:
+        (..., 6, 6), rad/s.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import extended_cross
+        >>> extended_cross([0.0, 0.0, 1.0])[4].tolist()
+        [0.0, 0.0, 0.0, 1.0, 0.0, -0.0]
     """
     w = Mat3.skew(Vec3(*entries(omega)))
     return _blocks(w, Mat3.zero(), Mat3.zero(), w)
@@ -87,13 +188,43 @@ def extended_cross(omega: jax.Array) -> jax.Array:
 
 @takes(V="twist")
 def motion_cross_matrix(V: jax.Array) -> jax.Array:
-    """Compute the matrix V x = [[omega], 0; [v], [omega]] (..., 6, 6), which is ad(V)."""
+    """Compute the matrix V x = [[omega], 0; [v], [omega]] (..., 6, 6), which is ad(V).
+
+    Args:
+        V: (..., 6), twists, rad/s, then m/s.
+
+    Returns:
+        (..., 6, 6), rad/s, and m/s in the off-diagonal block.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import motion_cross_matrix
+        >>> motion_cross_matrix([0.0, 0, 0, 0, 0, 2])[4].tolist()
+        [2.0, 0.0, -0.0, 0.0, 0.0, -0.0]
+    """
     return se3.ad(V)
 
 
 @takes(V="twist")
 def force_cross_matrix(V: jax.Array) -> jax.Array:
-    """Compute the matrix V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6)."""
+    """Compute the matrix V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6).
+
+    Args:
+        V: (..., 6), twists, rad/s, then m/s.
+
+    Returns:
+        (..., 6, 6), rad/s, and m/s in the off-diagonal block.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import force_cross_matrix
+        >>> force_cross_matrix([0.0, 0, 0, 0, 0, 2])[1].tolist()
+        [0.0, 0.0, -0.0, 2.0, 0.0, -0.0]
+    """
     m = _motion(V)
     w = Mat3.skew(m.ang)
     return _blocks(w, Mat3.skew(m.lin), Mat3.zero(), w)
@@ -103,8 +234,21 @@ def force_cross_matrix(V: jax.Array) -> jax.Array:
 def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
     """Compute the cross product V x m (..., 6) of motions.
 
-    >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]).tolist()
-    [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
+    Args:
+        V: (..., 6), twists, rad/s, then m/s.
+        m: (..., 6), motions, such as twists, rad/s and m/s.
+
+    Returns:
+        (..., 6), in the unit of m per second.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import motion_cross
+        >>> along_y = [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]
+        >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], along_y).tolist()
+        [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
     """
     return stacked(_motion(V).cross(_motion(m)))
 
@@ -113,8 +257,20 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
 def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
     """Compute the cross product V x* f (..., 6) of a motion and a force.
 
-    >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
-    [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    Args:
+        V: (..., 6), twists, rad/s, then m/s.
+        f: (..., 6), forces, N m, then N.
+
+    Returns:
+        (..., 6), N m/s, then N/s.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.spatial import force_cross
+        >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
     return stacked(_motion(V).cross_force(_force(f)))
 
@@ -131,74 +287,3 @@ def _blocks(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> jax.Array:
     """Assemble the block matrix [a, b; c, d] (..., 6, 6)."""
     rows = [[*x, *y] for x, y in zip(a.rows + c.rows, b.rows + d.rows, strict=True)]
     return stacked([x for row in rows for x in row], 6, 6)
-
-
-@takes(V="twist", point="vector")
-def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
-    """Compute the twist (omega, v + omega x r) (..., 6) at a point from the twist V at the origin.
-
-    >>> twist_at([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0]).tolist()
-    [0.0, 0.0, 1.0, 0.0, 2.0, 0.0]
-    """
-    m, r = _motion(V), Vec3(*entries(point))
-    return stacked(Motion(m.ang, m.lin + m.ang.cross(r)))
-
-
-@takes(F="twist", point="vector")
-def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
-    """Compute the wrench (n - r x f, f) (..., 6) at a point from the wrench F at the origin.
-
-    >>> wrench_at([0.0, 0.0, 2.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
-    [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-    """
-    f, r = _force(F), Vec3(*entries(point))
-    return stacked(Force(f.ang - r.cross(f.lin), f.lin))
-
-
-@takes(f="vector", point="vector")
-def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
-    """Compute the wrench (r x f, f) (..., 6) at the origin of a force f (..., 3) at a point.
-
-    >>> force_at([0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
-    [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
-    """
-    f_, r = Vec3(*entries(f)), Vec3(*entries(point))
-    return stacked(Force(r.cross(f_), f_))
-
-
-@takes(wrenches="twist", points="vector", about="vector")
-def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> jax.Array:
-    """Sum wrenches (..., n, 6) at different points (..., n, 3) to one wrench at the point `about`.
-
-    All are in the same axes.
-
-    >>> couple = [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -1.0, 0.0]]
-    >>> merge_wrenches(couple, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [7.0, 7.0, 7.0]).tolist()
-    [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-    """
-    return wrench_at(wrenches, about[..., None, :] - points).sum(-2)
-
-
-@takes(F="twist", V="twist")
-def power(F: jax.Array, V: jax.Array) -> jax.Array:
-    """Compute the power n . omega + f . v (...) of a wrench and a twist at one point in one frame.
-
-    >>> float(power([1.0, 0.0, 0.0, 0.0, 2.0, 0.0], [3.0, 0.0, 0.0, 0.0, 4.0, 0.0]))
-    11.0
-    """
-    return _motion(V).dot(_force(F))
-
-
-@takes(F="twist")
-def central_axis(F: jax.Array) -> Screw:
-    """Compute the central axis of a wrench: a force along a line and a couple about it (Poinsot).
-
-    `axis` and `point` define the line, `pitch` is couple / force, and `magnitude` is the force. For
-    a pure couple the pitch is infinite, and `magnitude` is the couple.
-
-    >>> s = central_axis([0.0, 0.0, 2.0, 0.0, 1.0, 0.0])
-    >>> s.axis.tolist(), s.point.tolist(), float(s.magnitude)
-    ([0.0, 1.0, 0.0], [2.0, 0.0, 0.0], 1.0)
-    """
-    f = _force(F)
-    return screws.from_twist(stacked([*f.lin, *f.ang]))

@@ -21,7 +21,7 @@ import numpy as np
 from rbjax.arguments import choice
 from rbjax.errors import UnknownName
 from rbjax.model import Model
-from rbjax.spatial.mass import from_pseudo_inertia, pseudo_inertia
+from rbjax.spatial.mass_conditions import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.log_cholesky import (
     PARAMETERS,
