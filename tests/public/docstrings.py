@@ -16,10 +16,13 @@ from typing import Any
 
 import rbjax as rb
 
-#: a shape: (n,), (..., 3), (T, nq), ()
-SHAPE = re.compile(r"\((\.\.\.|[A-Za-z0-9_+ *-]+)?(, ?[A-Za-z0-9_+ *.-]+)*,?\)")
+#: a shape: (n,), (..., 3), (T, nq), (), (...)
+SHAPE = re.compile(
+    r"\((\.\.\.)?\)|\((\.\.\.|\*?[\w +*-]{1,12})(, ?[\w +*-]{1,12})*,\)"
+    r"|\((\.\.\.|\*?[\w +*-]{1,12})(, ?(\.\.\.|[\w +*-]{1,12}))+\)"
+)
 UNIT = re.compile(
-    r"(?<![\w.])(m|s|kg|N|rad|Hz|J|W|Pa|V|A|K|deg|dof|SI|m/s|rad/s|N m|kg m|m\^\d|1/s|m/rad)(?![\w(])"
+    r"(?<![\w.])(m|s|kg|N|rad|Hz|J|W|Pa|V|A|K|deg|dof|SI|m/s|rad/s|N m|kg m|1/s|m/rad)(?![\w(])"
     r"|SI units|without unit|dimensionless|radians|metres|seconds|units? of|unit length|unit vector"
     r"|unit quaternion|\bunits?\b"
 )
@@ -75,8 +78,6 @@ def missing(x: Any) -> list[str]:
     found = [] if re.match(r".+?[.:](\s|$)", text, re.DOTALL) else ["summary"]
     if re.search(rf"\S\n({SECTIONS}):\n", text):  # mkdocstrings reads no section after a full line
         found.append("blank line")
-    if ">>>" in text and "Example:" not in text:
-        found.append("example")
     if inspect.isclass(x):
         small = issubclass(x, enum.Enum | BaseException) or not fields(x)
         if not small and not all(re.search(rf"\b{name}\b", text) for name in fields(x)):
@@ -94,10 +95,9 @@ def missing(x: Any) -> list[str]:
         n for n, p in signature.parameters.items()
         if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL) and not n.startswith("_")
     ]  # fmt: skip
-    if named and "Args:" not in text:
+    if not set(named) <= entries(text):
         found.append("args")
-    elif not all(re.search(rf"\b{n}\b", text) for n in named):
-        found.append("args")
+    text, example = text.partition("Example:")[::2]
     if arrays_in(x) and not SHAPE.search(text):
         found.append("shapes")
     if arrays_in(x) and not UNIT.search(text):
@@ -107,9 +107,16 @@ def missing(x: Any) -> list[str]:
         found.append("returns")
     if raises(x) and "Raises:" not in text:
         found.append("raises")
-    if ">>>" not in text:
+    if ">>>" not in example:
         found.append("example")
     return found
+
+
+def entries(text: str) -> set[str]:
+    """The names of the entries of the section Args: `name: meaning` or `one, two: meaning`."""
+    section = re.search(r"^Args:\n((?:    .*\n?|\n)*)", text, re.MULTILINE)
+    heads = re.findall(r"^    ([\w*, ]+):", section[1], re.MULTILINE) if section else []
+    return {name.strip("* ") for head in heads for name in head.split(",")}
 
 
 def fields(cls: type) -> list[str]:
