@@ -11,9 +11,8 @@ Controls in -1..1 are torques of 30, 40, 30 and 10 N m. Episodes of 20 s, in con
 the forces under toe and heel at the end of a control step, one solution of the contacts more than
 the physics needs; Playground's are those at the beginning of the last physics step.
 
-The reward "standing" has no slope. The curriculum, which learners by gradients apply, therefore
-begins with a `standing_margin` of 0.6 m below the height 0.6 m, and narrows it to 0 over the first
-two thirds of the training.
+The reward "standing" has no slope. With the option `guided` it has a margin below 0.6 m, which the
+curriculum narrows from 0.6 m to 0 over the first two thirds of a training by gradients.
 
 Source: Tassa et al., *DeepMind Control Suite*, 2018 (hopper); step and resets of MuJoCo Playground
 0.2.0.
@@ -49,34 +48,36 @@ _VELOCITY = SubtreeVelocity("torso")
 
 
 @register("hopper_stand")
-def hopper_stand(*, touch: bool = True) -> Task:
+def hopper_stand(*, touch: bool = True, guided: bool = False) -> Task:
     """Stand up and keep the balance.
 
     touch: whether the forces under the foot are observed.
+    guided: whether the reward of standing has a slope at the beginning of a training, for SHAC.
 
     Example:
         >>> import rbjax as rb
         >>> rb.envs.make("hopper_stand").observation_size
         15
     """
-    return _task("hopper_stand", small_control, touch)
+    return _task("hopper_stand", small_control, touch, guided)
 
 
 @register("hopper_hop")
-def hopper_hop(*, touch: bool = True) -> Task:
+def hopper_hop(*, touch: bool = True, guided: bool = False) -> Task:
     """Stand up and hop forward at 2 m/s or more.
 
     touch: whether the forces under the foot are observed.
+    guided: whether the reward of standing has a slope at the beginning of a training, for SHAC.
 
     Example:
         >>> import rbjax as rb
         >>> rb.envs.make("hopper_hop", touch=False).observation_size
         13
     """
-    return _task("hopper_hop", hopping, touch)
+    return _task("hopper_hop", hopping, touch, guided)
 
 
-def _task(name: str, second: Any, touch: bool) -> Task:
+def _task(name: str, second: Any, touch: bool, guided: bool) -> Task:
     model = load(robot_file("hopper"))
     terms = [
         Observation("position", lambda transition: transition.after.q[1:]),
@@ -91,9 +92,9 @@ def _task(name: str, second: Any, touch: bool) -> Task:
         {"policy": tuple(terms)},
         (Reward("standing", standing), Reward(second.__name__, second)),
         decimation=4,
-        values={"standing_margin": 0.0},
+        values={"standing_margin": 0.0} if guided else {},
         total_reward=product_of_rewards,
-        curriculum=narrow_margin,
+        curriculum=narrow_margin if guided else None,
         tracked="torso",
     )
 
@@ -108,7 +109,7 @@ def standing(transition: Any) -> jax.Array:
     torso, foot = (
         transition.after.frame(Frame(center=name)).position[2] for name in ("torso", "foot")
     )
-    margin = transition.params.values["standing_margin"]
+    margin = transition.params.values.get("standing_margin", 0.0)
     return tolerance(torso - foot, (STANDING_HEIGHT, 2.0), margin)
 
 
