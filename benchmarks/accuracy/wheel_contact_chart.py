@@ -1,4 +1,7 @@
-"""The picture of `wheel_contact`: how far contact is from rolling, a row for each robot."""
+"""The picture of `wheel_contact`: how far contact is from rolling, a column for each robot.
+
+`python -m benchmarks.accuracy.wheel_contact_chart` draws it again from the results.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks.shared.charts import PAGE, save_chart, saved
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
 PICTURE = Path(__file__).parents[2] / "docs" / "guides" / "figures" / "wheel_contact.png"
@@ -24,28 +28,26 @@ SLIPS = "rbjax slipping"
 
 
 def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
-    """Four panels a robot: friction, stiffness, sliding speed, timestep."""
+    """A column a robot; rows of panels: friction, stiffness, sliding speed, timestep."""
     robots = {row["robot"]: row["title"] for row in rows if row["sweep"] == "reference"}
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            len(robots), 4, figsize=(17, 3.9 * len(robots) + 0.6), layout="constrained",
-            squeeze=False,
-        )  # fmt: skip
-        for panels, (name, title) in zip(axes, robots.items(), strict=True):
+    with plt.rc_context(STYLE | {"font.size": 9, "axes.titlesize": 10}):
+        figure = plt.figure(figsize=(PAGE, 15.5), layout="constrained")
+        parts = figure.subfigures(4, 1, height_ratios=[1, 1.2, 1.05, 1.15])
+        panels = [part.subplots(1, len(robots), squeeze=False, sharey=True)[0] for part in parts]
+        for k, (name, title) in enumerate(robots.items()):
             mine = [row for row in rows if row["robot"] == name]
             about = next(row for row in mine if row["sweep"] == "reference")
-            friction(panels[0], mine, about)
-            stiffness(panels[1], mine)
-            sliding(panels[2], mine)
-            timestep(panels[3], mine, about)
-            panels[0].set_title(f"{title}: {about['way']:.0f} m in 4 s")
-            panels[0].set_ylabel("largest distance from rolling [m]")
-        for panel in axes[-1]:
-            panel.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.2))
-        figure.suptitle(f"Contact becomes rolling (f64){of_mjx(rows)}", x=0.01, ha="left",
-                        fontweight="bold")  # fmt: skip
-        figure.savefig(path)
-        plt.close(figure)
+            friction(panels[0][k], mine, about)
+            stiffness(panels[1][k], mine)
+            sliding(panels[2][k], mine)
+            timestep(panels[3][k], mine, about)
+            panels[0][k].set_title(f"{title}: {about['way']:.0f} m in 4 s")
+        for part, row in zip(parts, panels, strict=True):
+            row[0].set_ylabel("distance from rolling [m]")
+            handles, labels = row[0].get_legend_handles_labels()
+            part.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+        figure.suptitle(f"Contact becomes rolling (f64){of_mjx(rows)}", x=0.01, ha="left")
+        save_chart(figure, path)
     return path
 
 
@@ -68,7 +70,7 @@ def of_mjx(rows: list[dict[str, Any]]) -> str:
         for name, x in (("wheels stick", False), ("wheels slide", True))
     }
     said = [f"{max(x):.0e} m where {name}" for name, x in gaps.items() if x]
-    return f". MJX ends within {', '.join(said)}, of MuJoCo C" if said else ""
+    return f"\nMJX ends within {', '.join(said)}, of MuJoCo C" if said else ""
 
 
 def orders(axis: Any, at: tuple[list, list]) -> None:
@@ -126,3 +128,7 @@ def timestep(axis: Any, rows: list[dict[str, Any]], about: dict[str, Any]) -> No
     axis.axhline(max(about["bound"], 1e-13), color=INK, lw=0.8, ls="--",
                  label="bound of the reference's error")  # fmt: skip
     axis.set_xlabel("timestep [ms]")
+
+
+if __name__ == "__main__":
+    print(draw(saved("wheel-contact-*.json")))

@@ -30,6 +30,7 @@ from matplotlib.ticker import NullFormatter
 
 import rbjax as rb
 from benchmarks.cases.contact_scenes import SCENES, Scene
+from benchmarks.shared.charts import PAGE, save_chart
 from benchmarks.shared.timing import RESULTS, save
 from rbjax.plotting import INK, STYLE
 
@@ -146,13 +147,12 @@ def draw_map(found: dict[tuple, dict[str, Any]], path: Path) -> None:
             "Contact laws: log10 of the largest error [m]; * steps of the solver did not converge",
             x=0.01, ha="left", fontweight="bold", fontsize=11,
         )  # fmt: skip
-        figure.savefig(path)
-        plt.close(figure)
+        save_chart(figure, path)
 
 
 def draw_work(found: dict[tuple, dict[str, Any]], path: Path) -> None:
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 3, figsize=(10.5, 6.2), layout="constrained", sharey=True)
+        figure, axes = plt.subplots(3, 2, figsize=(PAGE, 8.4), layout="constrained", sharey=True)
         for axis, (name, scene) in zip(axes.flat, SCENES.items(), strict=True):
             for law, mark in zip(LAWS, "osD^", strict=True):
                 rows = [found[name, law, dt] for dt in STEPS]
@@ -171,8 +171,7 @@ def draw_work(found: dict[tuple, dict[str, Any]], path: Path) -> None:
         figure.legend(
             *axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=4
         )
-        figure.savefig(path)
-        plt.close(figure)
+        save_chart(figure, path)
 
 
 def last_rows() -> list[dict[str, Any]]:
@@ -183,18 +182,20 @@ def last_rows() -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="names of scenes, by commas")
+    parser.add_argument("--draw", action="store_true", help="only draw the saved results again")
     given = parser.parse_args()
     names = [name for name in given.only.split(",") if name] or list(SCENES)
     if unknown := set(names) - SCENES.keys():
         parser.error(f"no such scene: {', '.join(sorted(unknown))}; there are {', '.join(SCENES)}")
     found = {(r["scene"], r["law"], r["dt"]): r for r in last_rows()}
-    for name in names:
+    for name in [] if given.draw else names:
         for law in LAWS:
             rows = cells(name, law)
             found |= {(r["scene"], r["law"], r["dt"]): r for r in rows}
             print(f"{name:12s}{law:10s}", *(text(row) for row in rows), flush=True)
     keys = [(name, law, dt) for name in SCENES for law in LAWS for dt in STEPS]
-    save(NAME, [found[key] for key in keys if key in found])
+    if not given.draw:
+        save(NAME, [found[key] for key in keys if key in found])
     if all(key in found for key in keys):
         draw_map(found, FIGURES / "contact-map.png")
         draw_work(found, FIGURES / "contact-work-precision.png")

@@ -26,6 +26,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Patch, Rectangle
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from benchmarks.shared.charts import PAGE, save_chart, saved
 from benchmarks.shared.timing import RESULTS, save
 from rbjax import solvers
 from rbjax.plotting import INK, STYLE
@@ -100,7 +101,7 @@ def draw(rows: list[dict[str, Any]], floors: dict[str, float], path: Path) -> No
     columns = list(scenes().items())
     colours, scale = plt.get_cmap("YlGn_r"), Normalize(BEST, WORST + 3)
     with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(10.5, 15.5), layout="constrained")
+        figure, axis = plt.subplots(figsize=(PAGE, 14.5), layout="constrained")
         kind = None
         for y, one in enumerate(rows):
             if kind not in (None, one["kind"]):
@@ -132,17 +133,22 @@ def draw(rows: list[dict[str, Any]], floors: dict[str, float], path: Path) -> No
                     for p in (-12, -8, -4, -2)]  # fmt: skip
         handles.append(Patch(facecolor="#f3f4f5", label="does not apply"))
         figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5)
-        figure.suptitle("Which solver fails where: log10 of the largest error [rad], or how it "
-                        "fails", x=0.01, ha="left", fontweight="bold")  # fmt: skip
-        figure.savefig(path)
-        plt.close(figure)
+        figure.suptitle("Log10 of the largest error [rad], or how a solver fails",
+                        x=0.01, ha="left", fontweight="bold")  # fmt: skip
+        save_chart(figure, path)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=1, help="processes, each a solver at a time")
     parser.add_argument("--only", default="", help="names of solvers, by commas")
+    parser.add_argument("--draw", action="store_true", help="only draw the saved results again")
     given = parser.parse_args()
+    if given.draw:
+        about, *rows = saved(f"{NAME}-*.json")
+        floors = {name: MARGIN * error for name, error in about["errors_of_the_truth"].items()}
+        draw(rows, floors, PICTURE)
+        return
     names = [name for name in given.only.split(",") if name] or list(solvers.all())
     unknown = set(names) - solvers.all().keys()
     if unknown:

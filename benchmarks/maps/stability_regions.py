@@ -16,6 +16,7 @@ import diffrax
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks.shared.charts import PAGE, save_chart
 from rbjax import solvers
 from rbjax.plotting import STYLE
 from rbjax.stability import plot_regions, plot_spectral_radius
@@ -38,9 +39,9 @@ SECOND_ORDER = {
 
 def main() -> None:
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 2, figsize=(11, 9.6), layout="constrained")
+        figure, axes = plt.subplots(2, 2, figsize=(PAGE, 8), layout="constrained")
         plot_regions(EXPLICIT, (-5.5, 1.5, -4.2, 4.2), ax=axes[0, 0])
-        axes[0, 0].set_title("Explicit Runge-Kutta: stable inside")
+        axes[0, 0].set_title("Runge-Kutta: stable inside")
         adams = {f"order {k}": f"adams_bashforth{k}" for k in range(1, 6)}
         plot_regions(adams, (-2.3, 0.5, -1.5, 1.5), ax=axes[0, 1])
         axes[0, 1].set_title("Adams-Bashforth: stable inside")
@@ -49,8 +50,8 @@ def main() -> None:
         axes[1, 0].legend(ncols=2, loc="upper right")
         axes[1, 0].set_title("BDF: stable outside")
         plot_spectral_radius(SECOND_ORDER, np.logspace(-1.5, 3, 300), ax=axes[1, 1])
-        axes[1, 1].set_title("Second order: measured on the solvers' own steps")
-        figure.savefig(PICTURE)
+        axes[1, 1].set_title("Second order, measured on steps")
+        save_chart(figure, PICTURE)
     print(PICTURE)
 
 

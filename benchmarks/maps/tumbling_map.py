@@ -12,6 +12,7 @@ docs/benchmarks/figures/tumbling_map.png.
 
 from __future__ import annotations
 
+import argparse
 import os
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle
 
+from benchmarks.shared.charts import PAGE, save_chart, saved
 from benchmarks.shared.timing import markdown_table, save
 from rbjax import body, spatial
 from rbjax.body import Formulation, formulation
@@ -141,40 +143,46 @@ def measure(phi: np.ndarray) -> Found:
     return out
 
 
-def draw(phi: np.ndarray, found: Found, path: Path) -> None:
-    """A disc for each; and for each family the error against the smallest distance."""
+def draw(phi: np.ndarray, found: Found, shares: dict[str, float], path: Path) -> None:
+    """A disc for each with the share of failures; for each family the error by the distance."""
+    names = list(found)
+    groups = {
+        "More than three numbers": (0, 0, names[:5]), "Euler angles by name": (0, 5, names[10:12]),
+        "Vectorial": (1, 0, names[5:10]),
+        "Intrinsic Tait-Bryan angles": (2, 0, names[12:18]),
+        "Intrinsic proper Euler angles": (3, 0, names[18:24]),
+        "Extrinsic Tait-Bryan angles": (4, 0, names[24:30]),
+        "Extrinsic proper Euler angles": (5, 0, names[30:36]),
+        "Formulations of the body: in quaternions, and Lagrange's (L.) in three numbers":
+            (6, 0, names[36:]),
+    }  # fmt: skip
     with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(17, 10.4), layout="constrained")
-        upper, lower = figure.subfigures(2, 1, height_ratios=[7.2, 3.2])
-        discs = upper.subplots(4, 12)
-        for axis, name in zip(discs.flat, found, strict=False):
-            shown = _disc(axis, phi, found[name][0])
-            axis.text(0, 192, TITLES.get(name, name.split("_")[-1]), ha="center", fontsize=9)
-        for axis in discs.flat[len(found) :]:
+        figure = plt.figure(figsize=(PAGE, 17.5), layout="constrained")
+        upper, lower = figure.subfigures(2, 1, height_ratios=[11.2, 6])
+        discs = upper.subplots(7, 7)
+        for axis in discs.flat:
             axis.axis("off")
-        groups = {
-            (0, 0): "More than three numbers", (0, 5): "Vectorial", (0, 10): "Euler angles by name",
-            (1, 0): "Intrinsic Tait-Bryan angles", (1, 6): "Intrinsic proper Euler angles",
-            (2, 0): "Extrinsic Tait-Bryan angles", (2, 6): "Extrinsic proper Euler angles",
-            (3, 0): "Formulations of the body: "
-            "in quaternions, and Lagrange's (L.) in three numbers",
-        }  # fmt: skip
-        for place, title in groups.items():
-            discs[place].text(-184, 258, title, weight="bold", fontsize=11, in_layout=False)
-        where = {"color": "white", "fontsize": 6.5, "ha": "center", "va": "center"}
+        for title, (row, column, members) in groups.items():
+            for axis, name in zip(discs[row, column:], members, strict=False):
+                shown = _disc(axis, phi, found[name][0], shares[name])
+                axis.text(0, 192, TITLES.get(name, name.split("_")[-1]), ha="center", fontsize=8.5)
+            discs[row, column].text(-184, 262, title, weight="bold", in_layout=False)
+        where = {"color": "white", "fontsize": 7, "ha": "center", "va": "center"}
         discs[0, 0].plot(0, 0, "+", color="white")
-        discs[0, 0].text(-72, 0, "identity", **where)
-        discs[0, 0].text(110, 0, "half turn\nabout x", **where)
-        discs[0, 0].text(0, 138, "half turn\nabout y", **where)
-        discs[3, 7].text(
-            0.1, 0.6, "Black: right to 14 digits. Below each disc: the share of starts\n"
-            f"that end off by more than {GOOD:.0e} rad.", va="top", in_layout=False,
-            transform=discs[3, 7].transAxes,
+        discs[0, 0].text(0, -35, "identity", **where)
+        discs[0, 0].text(112, 0, "half\nturn\nby x", **where)
+        discs[0, 0].text(0, 118, "half turn\nby y", **where)
+        discs[1, 5].text(
+            0.1, 0.75, "Black: right to 14 digits.\nBelow each disc: the share of\nstarts that end "
+            f"off by more\nthan {GOOD:.0e} rad.", va="top", in_layout=False, fontsize=9,
+            transform=discs[1, 5].transAxes,
         )  # fmt: skip
-        bar = upper.colorbar(shown, ax=discs, shrink=0.6, pad=0.01, aspect=30)
+        bar = upper.colorbar(
+            shown, ax=discs, location="bottom", shrink=0.6, pad=0.01, aspect=40
+        )
         bar.set_label("error of attitude after 10 s, log$_{10}$ rad")
-        laws = lower.subplots(1, 4, sharex=True, sharey=True)
-        for law, kind in zip(laws, FAMILIES, strict=True):
+        laws = lower.subplots(2, 2, sharex=True, sharey=True)
+        for law, kind in zip(laws.flat, FAMILIES, strict=True):
             law.set_title(kind[0].upper() + kind[1:])
             for name, (error, least) in found.items():
                 if family(name) == kind and np.isfinite(least).all():
@@ -182,20 +190,22 @@ def draw(phi: np.ndarray, found: Found, path: Path) -> None:
                     named = None if kind.endswith("angles") else TITLES[name]
                     law.loglog(np.degrees(least) + 1e-3, error, ".", ms=2, color=colour, alpha=0.5,
                                label=named)  # fmt: skip
-            law.set(xlabel="nearest to the singularity on the way [deg]", xlim=(0.1, 400))
+            law.set(xlim=(0.1, 400))
             law.axhline(GOOD, color=INK, lw=0.8, ls=":")
             if law.get_legend_handles_labels()[1]:
-                law.legend(markerscale=5, loc="lower left", fontsize=8, handletextpad=0)
-        laws[0].set_ylabel("error [rad]")
+                law.legend(markerscale=5, loc="lower left", handletextpad=0)
+        for law in laws[1]:
+            law.set_xlabel("nearest to the singularity on the way [deg]")
+        for law in laws[:, 0]:
+            law.set_ylabel("error [rad]")
         figure.suptitle(
-            "A free body tumbles for 10 s from each attitude on a disc of rotation vectors, "
+            "A free body tumbles for 10 s from each attitude on a disc of rotation vectors,\n"
             "by 100 equal steps of order 8", x=0.01, ha="left",
         )  # fmt: skip
-        figure.savefig(path)
-        plt.close(figure)
+        save_chart(figure, path, colors=0)
 
 
-def _disc(axis: Any, phi: np.ndarray, error: np.ndarray) -> Any:
+def _disc(axis: Any, phi: np.ndarray, error: np.ndarray, share: float) -> Any:
     side = 2 * np.pi / ACROSS
     x = (np.arange(ACROSS) + 0.5) * side - np.pi
     column, row = np.rint((phi[:, :2] - OFF - x[0]) / side).astype(int).T
@@ -204,7 +214,7 @@ def _disc(axis: Any, phi: np.ndarray, error: np.ndarray) -> Any:
     rim = axis.add_patch(Circle((0, 0), 180, fill=False, edgecolor=INK, lw=0.8))
     shown = axis.pcolormesh(*2 * [np.degrees(x)], square, vmin=-14, vmax=0, cmap="magma")
     shown.set_clip_path(rim)
-    axis.text(0, -192, f"{(error > GOOD).mean():.1%}", ha="center", va="top", fontsize=8)
+    axis.text(0, -192, f"{share:.1%}", ha="center", va="top", fontsize=8)
     axis.set(aspect="equal", xlim=(-184, 184), ylim=(-235, 310))
     axis.axis("off")
     return shown
@@ -235,12 +245,25 @@ def text(values: np.ndarray, digits: int) -> str:
     return " ".join(f"{v:.{digits}f}" for v in np.log10(np.maximum(values, 1e-16)))
 
 
+def numbers(line: str | None) -> np.ndarray:
+    """The numbers of a line of the results, which are their log10; infinity for None."""
+    return np.array([np.inf]) if line is None else 10.0 ** np.array(line.split(), float)
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draw", action="store_true", help="only draw the saved results again")
     phi = disc()
+    if parser.parse_args().draw:
+        keys = ("log10_error_rad", "log10_least_distance_rad")
+        rows = saved("tumbling-map-*.json")
+        kept = {row["name"]: (numbers(row[keys[0]]), numbers(row[keys[1]])) for row in rows}
+        draw(phi, kept, {row["name"]: row["share_above_1e-10"] for row in rows}, PICTURE)
+        return
     found = measure(phi)
     rows = report(found)
     print(markdown_table(rows, rows[0]))
-    draw(phi, found, PICTURE)
+    draw(phi, found, {row["name"]: row["share_above_1e-10"] for row in rows}, PICTURE)
     for row, (error, least) in zip(rows, found.values(), strict=True):
         row["log10_error_rad"] = text(error, 1)
         near = np.isfinite(least).all()

@@ -1,7 +1,11 @@
-"""The picture of `formulations`: error against cost, and what is left of the rows."""
+"""The picture of `formulations`: error against cost, and what is left of the rows.
+
+`python -m benchmarks.work.formulations_chart` draws it again from the results.
+"""
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +15,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullFormatter
 
+from benchmarks.shared.charts import PAGE, save_chart, saved
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
 PICTURE = Path(__file__).parents[2] / "docs" / "guides" / "figures" / "formulations.png"
@@ -31,10 +36,10 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
     """A panel for each mechanism, and beneath them the drift at the finest step."""
     runs = [row for row in rows if row["what"] == "run"]
     titles = {row["mechanism"]: row["title"] for row in runs}
-    columns = -(-len(titles) // 2)
+    columns, high = 2, -(-len(titles) // 2)
     with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(3.9 * columns, 13.5), layout="constrained")
-        grid = figure.add_gridspec(3, columns, height_ratios=[1, 1, 1.25])
+        figure = plt.figure(figsize=(PAGE, 3 * high + 7.2), layout="constrained")
+        grid = figure.add_gridspec(high + 1, columns, height_ratios=[1] * high + [2])
         handles: dict[str, Any] = {}
         for k, (name, title) in enumerate(titles.items()):
             axis = figure.add_subplot(grid[divmod(k, columns)])
@@ -47,15 +52,14 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
                 axis.set_ylabel("error of q and v at the end")
             axis.set_xlabel("us per second of motion")
         order = [key for key in LOOKS if key in handles]
-        drift(figure.add_subplot(grid[2, :]), runs, titles, order)
-        figure.legend([handles[key] for key in order], order, loc="outside lower center", ncols=6)
+        drift(figure.add_subplot(grid[high, :]), runs, titles, order)
+        figure.legend([handles[key] for key in order], order, loc="outside lower center", ncols=4)
         figure.suptitle(
-            "Formulations, f64, one core: error against cost (RK4: circles redundant, squares "
-            "minimal, triangles unconstrained; diamonds Radau IIA)",
-            x=0.01, ha="left", fontweight="bold",
+            "Formulations, f64, one core: error against cost. RK4: circles redundant, squares\n"
+            "minimal, triangles unconstrained; diamonds Radau IIA",
+            x=0.01, ha="left", fontsize=10,
         )  # fmt: skip
-        figure.savefig(path)
-        plt.close(figure)
+        save_chart(figure, path)
     return path
 
 
@@ -100,10 +104,15 @@ def drift(axis: Any, runs: list[dict[str, Any]], titles: dict[str, str], order: 
             axis.text(x, y, text, ha="center", va="center", fontsize=8.5,
                       color="white" if dark else INK)  # fmt: skip
     axis.set(xlim=(-0.5, len(titles) - 0.5), ylim=(len(order) - 0.5, -0.5))
-    axis.set_xticks(range(len(titles)), list(titles.values()), fontsize=8.5)
+    names = [textwrap.fill(title, 13) for title in titles.values()]
+    axis.set_xticks(range(len(titles)), names, fontsize=8.5)
     axis.set_yticks(range(len(order)), order, fontsize=8.5)
     axis.tick_params(length=0)
     axis.grid(False)
     for side in axis.spines.values():
         side.set_visible(False)
     axis.set_title("Drift at the finest step: log10 of the largest residual of values | of rates")
+
+
+if __name__ == "__main__":
+    print(draw(saved("work-formulations-*.json")))

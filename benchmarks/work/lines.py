@@ -24,7 +24,8 @@ def read(folders: list[Path]) -> tuple[Rows, Rows]:
     """Rows of the scenes, each with its platform, those of `simulate` from work-solvers-*.json;
     rows of the stiffness sweep."""
     scenes, stiff = [], []
-    for path in sorted(p for folder in folders for p in folder.glob("work-*.json")):
+    kinds = ("work-precision-*.json", "work-solvers-*.json", "work-stiffness-*.json")
+    for path in sorted(p for folder in folders for kind in kinds for p in folder.glob(kind)):
         data = json.loads(path.read_text())
         platform = CPU if data["provenance"]["platform"] == "cpu" else GPU
         rows = [row | {"platform": platform} for row in data["rows"]]

@@ -15,6 +15,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks.shared.charts import PAGE, save_chart
 from benchmarks.shared.timing import RESULTS, markdown_table
 from benchmarks.work.lines import CPU, DOCS, FIGURES, GPU, WANTED, Rows, at, lines, read, visible
 from benchmarks.work.scenes import SCENES
@@ -65,11 +66,11 @@ OTHERS = (INK, PURPLE, BLUE, TEAL, RED, ORANGE, GREEN)
 
 def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, ...]) -> None:
     """A grid of scenes; cost is 2 for time, 3 for force evaluations."""
-    columns = min(4, len(scenes))
+    columns = min(2, len(scenes))
     high = -(-len(scenes) // columns)
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
-            high, columns, figsize=(3.5 * columns, 3.1 * high + 0.9), layout="constrained",
+            high, columns, figsize=(PAGE, 2.9 * high + 1.6), layout="constrained",
             squeeze=False, sharey=True,
         )  # fmt: skip
         shown: dict[str, Any] = {}
@@ -91,7 +92,7 @@ def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, 
             ax.set_visible(False)
         what = "us per robot and simulated second" if cost == 2 else "force evaluations a second"
         for ax in axes[-1]:
-            ax.set_xlabel(what, fontsize=8.5)
+            ax.set_xlabel(what)
         for ax in axes[:, 0]:
             ax.set_ylabel("error")
         if cost == 2:
@@ -99,9 +100,8 @@ def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, 
         order = [label for *_, label in LOOK.values()]
         labels = sorted(shown, key=lambda s: (order.index(s.removesuffix(", f32")), "f32" in s))
         handles = [shown[label] for label in labels]
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, 2 * columns))
-        figure.savefig(FIGURES / f"work-precision-{name}.png")
-        plt.close(figure)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        save_chart(figure, FIGURES / f"work-precision-{name}.png")
 
 
 def stiffness(rows: Rows) -> None:
@@ -111,7 +111,7 @@ def stiffness(rows: Rows) -> None:
         if row["what"] == "stiff" and "us" in row:
             by_method[row["method"]].append(row)
     with plt.rc_context(STYLE):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+        figure, (left, right) = plt.subplots(1, 2, figsize=(PAGE, 4.2), layout="constrained")
         for n, (method, points) in enumerate(by_method.items()):
             style = "--" if points[0]["implicit"] else "-"
             k = [p["stiffness"] for p in points]
@@ -122,9 +122,8 @@ def stiffness(rows: Rows) -> None:
         right.set(title="Steps for it", ylabel="steps a second")
         for ax in (left, right):
             ax.set_xlabel("stiffness of the springs [N m/rad]")
-        figure.legend(*left.get_legend_handles_labels(), loc="outside right center")
-        figure.savefig(FIGURES / "work-precision-stiffness.png")
-        plt.close(figure)
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        save_chart(figure, FIGURES / "work-precision-stiffness.png")
 
 
 def crossover(rows: Rows) -> str:
@@ -166,10 +165,12 @@ distance of two states and the references (closed forms or runs whose own error 
 ![Force evaluations](figures/work-precision-evaluations.png)
 
 - Every engine runs the same MjModel with only smooth dynamics; contacts, limits, friction are off.
-- MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
-  on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
-  hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX ends above 1e-6 but on
-  the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
+  Contacts have their own map and chart in
+  [contacts.md](../guides/contacts.md#errors-by-law-and-step).
+- MJX: steps for the error times its fastest step. Its errors are measured on a small batch on a
+  CPU; on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the
+  chain of hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX ends above 1e-6
+  but on the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
 - On the CPU MJX and rbjax run with whichever of the compiler's options make each fastest on a
   scene. MJX: without XLA's fusion emitters. rbjax: `rb.compiler_options()`, or only their wide
   vectors; without options it takes {options} ("options" in the data).
@@ -196,7 +197,7 @@ times, and is prolonged (f64).
 - Batches: CPU 128 (humanoid, chain 32), H200 16,384 (arm, chain 4,096, humanoid 2,048). The cores
   of the CPU were all busy, one solver each: times compare with each other, less with those above.
 - On the CPU explicit solvers run on the unrolled driver, implicit ones on "auto".
-- Evaluations are those of one robot: each stage one, a Jacobian one, dense output's too.
+- Evaluations are counted for one robot: each stage one, a Jacobian one, dense output's too.
 - `rigid_body_splitting` takes single rigid bodies: the free body and the top.
 {gaps}
 

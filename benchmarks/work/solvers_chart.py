@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import NullFormatter
 
+from benchmarks.shared.charts import PAGE, save_chart
 from benchmarks.shared.timing import markdown_table
 from benchmarks.work.lines import CPU, FIGURES, GPU, WANTED, Rows, at, lines, visible
 from benchmarks.work.scenes import SCENES
@@ -65,7 +66,7 @@ def picture(rows: Rows, platform: str, precision: str, column: int, name: str) -
     """A panel for each scene; the best of each family is bold and named, the cheapest first."""
     wanted = WANTED if precision == "f64" else COARSE
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 4, figsize=(16, 9.2), layout="constrained", sharey=True)
+        figure, axes = plt.subplots(4, 2, figsize=(PAGE, 15), layout="constrained", sharey=True)
         for ax, scene in zip(axes.flat, SCENES, strict=True):
             winners = []
             for kind, methods in by_family(rows, scene, platform, precision).items():
@@ -85,7 +86,7 @@ def picture(rows: Rows, platform: str, precision: str, column: int, name: str) -
             ax.set(title=SCENES[scene].title, ylim=(1e-12 if precision == "f64" else 1e-8, 2))
             winners.sort(key=lambda w: w[0])
             ax.legend([w[1] for w in winners], [w[2] for w in winners], loc="best",
-                      fontsize=7.5, handlelength=1.2, labelspacing=0.25, frameon=True,
+                      fontsize=8, handlelength=1.2, labelspacing=0.25, frameon=True,
                       framealpha=0.8, edgecolor="none")  # fmt: skip
         of_time = column == TIME
         for ax in axes[-1]:
@@ -97,9 +98,8 @@ def picture(rows: Rows, platform: str, precision: str, column: int, name: str) -
         against = f"computing time, {platform}" if of_time else "force evaluations"
         figure.suptitle(f"Solvers through simulate: error against {against}, {precision}")
         handles = [plt.Line2D([], [], color=color, lw=2) for color, _ in FAMILIES.values()]
-        figure.legend(handles, list(FAMILIES), loc="outside lower center", ncols=len(FAMILIES))
-        figure.savefig(FIGURES / f"work-precision-solvers-{name}.png")
-        plt.close(figure)
+        figure.legend(handles, list(FAMILIES), loc="outside lower center", ncols=4)
+        save_chart(figure, FIGURES / f"work-precision-solvers-{name}.png")
 
 
 def solver_pictures(rows: Rows) -> None:
