@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test quick test-gpu test-all test-oldest test-envs lint types demo bench failure-map wheel-contact bench-work-precision notebooks docs clean
+.PHONY: help setup test quick test-gpu test-all test-oldest test-nightly test-envs test-wheel lint types demo bench failure-map wheel-contact bench-work-precision notebooks docs clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -54,14 +54,26 @@ test-oldest: ## the quick tests with the oldest versions that pyproject.toml acc
 	.venv-oldest/bin/pip install -qq --editable '.[test]' --constraint .venv-oldest/constraints.txt
 	.venv-oldest/bin/pytest -n $(JOBS) --dist worksteal -m "not slow" -W ignore::DeprecationWarning
 
+JAX_NIGHTLY := https://us-python.pkg.dev/ml-oss-artifacts-published/jax/simple/
+test-nightly: ## the quick tests with the nightly build of JAX, in .venv-nightly
+	$(PYTHON) -m venv .venv-nightly
+	.venv-nightly/bin/pip install -qq --editable '.[test]'
+	.venv-nightly/bin/pip install -qq --upgrade --pre jax jaxlib --extra-index-url $(JAX_NIGHTLY)
+	.venv-nightly/bin/pytest -n $(JOBS) --dist worksteal -m "not slow" -W ignore::DeprecationWarning
+
+test-wheel: $(STAMP) ## build the wheel, install it into an empty environment, run the first example
+	$(BIN)/pytest -s tests/package/test_wheel.py
+
 # PyTorch for Linux brings CUDA, several GB.
 test-envs: ## the adapters to learning libraries with all of them, rsl-rl and PyTorch too, in .venv-envs
 	$(PYTHON) -m venv .venv-envs
 	.venv-envs/bin/pip install -qq --editable '.[test,envs,rsl]'
 	.venv-envs/bin/pytest -n $(JOBS) tests/envs/adapters rbjax/envs/adapters
 
-lint: $(STAMP) ## ruff
+lint: $(STAMP) ## ruff, codespell
 	$(BIN)/ruff check --quiet .
+	$(BIN)/ruff format --check --quiet rbjax tests
+	$(BIN)/codespell
 
 types: $(STAMP) ## mypy
 	$(BIN)/mypy
@@ -116,5 +128,5 @@ $(VENV)/.docs: $(STAMP)
 	@touch $@
 
 clean: ## remove all that make has made, .venv included
-	rm -rf $(VENV) .venv-oldest .venv-envs .cache .mypy_cache .pytest_cache .ruff_cache build dist site *.egg-info rbjax-demo
+	rm -rf $(VENV) .venv-oldest .venv-nightly .venv-envs .cache .mypy_cache .pytest_cache .ruff_cache build dist site *.egg-info rbjax-demo
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -96,7 +96,7 @@ def test_what_does_not_fit_is_found():
     start = "import rbjax as rb\nlab = rb.stability\n"
     right = "lab.scenes(); rb.rollout(1, 2, None, 0.1, steps=3); x = rb.State(1, 2).q"
     assert not faults(start + right)
-    for wrong in ("lab.szenes()", "rb.forces.Nothing", "rb.rollout(1, 2, stepz=3)", "rb.load()"):
+    for wrong in ("lab.nothing()", "rb.forces.Nothing", "rb.rollout(1, 2, stepz=3)", "rb.load()"):
         assert faults(start + wrong), wrong
 
 

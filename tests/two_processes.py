@@ -50,9 +50,10 @@ def found(shard) -> dict[str, np.ndarray]:
     @jax.jit
     def step(scale, wanted, *args):
         """A step of Gauss and Newton for the factors of the moving bodies' masses."""
-        of = lambda scale: (  # noqa: E731
-            ends(mass.at[-2:].multiply(scale), *args) - wanted
-        ).reshape(-1)
+
+        def of(scale):
+            return (ends(mass.at[-2:].multiply(scale), *args) - wanted).reshape(-1)
+
         r, J = of(scale), jax.jacfwd(of)(scale)
         return scale - jnp.linalg.solve(J.T @ J, J.T @ r)
 

@@ -307,12 +307,13 @@ def _check_where(kernel: Any, memory: Any) -> None:
 
 def _warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, dynamics: Dynamics) -> None:
     """Warn of the number of samples that are not finite, of the first failure, and of the largest
-    stable step. The trajectory must not be traced."""
+    stable step. `path.ok` must not be traced. Under `grad` the other arrays are, with values."""
     if not path.ok.is_fully_addressable:  # another process holds a part of the batch
         return
     ok = np.atleast_1d(np.asarray(path.ok))
     if ok.all():
         return
+    model, path, dt = jax.lax.stop_gradient((model, path, dt))
     batched = path.ok.ndim == 1
     states = [x if batched else x[None] for x in (path.q, path.v, path.x) if x is not None]
     bad = ~np.logical_and.reduce([np.isfinite(np.asarray(x)).all(-1) for x in states])

@@ -96,7 +96,7 @@ def emulated(
     signature = kernel.source.split(f"{kernel.name}(", 1)[1].split("){", 1)[0]
     types = [p.replace("const ", "").split("*")[0].strip() for p in signature.split(",")]
     pointers = ",".join(f"({kind}*)p[{k}]" for k, kind in enumerate(types))
-    first, last = (0, kernel.block - 1)[::in_turn or 1]
+    first, last = (0, kernel.block - 1)[:: in_turn or 1]
     turns = f"#define IN_TURN {in_turn}\n#define START turns[{first}].release()"
     zeros = ",".join(["std::counting_semaphore<1>(0)"] * kernel.block)
     source = "\n".join([

@@ -156,8 +156,12 @@ def test_functions_of_one_float(dtype):
 def test_signs_of_zero_survive():
     """Where they show: copysign, atan2, and 1 / x."""
     x = np.array([0.0, -0.0, 1.0, -1.0])
-    f = lambda x: (1 / -x, 1 / (x - 0.0), 1 / (0.0 - x), jnp.copysign(2, x),  # noqa: E731
-                   jnp.arctan2(x, -1.0), 1 / jnp.round(x / 4), 1 / lax.sign(x), 1 / (x * 1.0))
+
+    def f(x):
+        quotients = 1 / -x, 1 / (x - 0.0), 1 / (0.0 - x), 1 / (x * 1.0)
+        signs = jnp.copysign(2, x), jnp.arctan2(x, -1.0), 1 / jnp.round(x / 4), 1 / lax.sign(x)
+        return quotients + signs
+
     got, want = on_host(f, x), jax.jit(jax.vmap(f))(x)
     for g, w in zip(got, want, strict=True):
         np.testing.assert_array_equal(g, w)
@@ -474,17 +478,28 @@ def test_random_numbers_are_those_of_jax():
     def noise(seed):
         key = jax.random.key(seed)
         a, b, c = jax.random.split(key, 3)
-        return (jax.random.normal(a, (3,)), jax.random.uniform(b, (2, 2), jnp.float32, -1, 2),
-                jax.random.bits(c, (3,), jnp.uint8), jax.random.key_data(jax.random.fold_in(a, 7)))
+        return (
+            jax.random.normal(a, (3,)),
+            jax.random.uniform(b, (2, 2), jnp.float32, -1, 2),
+            jax.random.bits(c, (3,), jnp.uint8),
+            jax.random.key_data(jax.random.fold_in(a, 7)),
+        )
 
     def drawn(data):
         key = jax.random.wrap_key_data(data)
-        return (jax.random.randint(key, (3,), -5, 9), jax.random.bernoulli(key, 0.3, (4,)),
-                jax.random.permutation(key, 5), jax.random.categorical(key, jnp.arange(3.0)),
-                jax.random.gumbel(key, (2,)), jax.random.exponential(key), jax.random.bits(key))
+        return (
+            jax.random.randint(key, (3,), -5, 9),
+            jax.random.bernoulli(key, 0.3, (4,)),
+            jax.random.permutation(key, 5),
+            jax.random.categorical(key, jnp.arange(3.0)),
+            jax.random.gumbel(key, (2,)),
+            jax.random.exponential(key),
+            jax.random.bits(key),
+        )
 
     def walk(data):
         """A key that a loop carries, and one that a branch chooses."""
+
         def step(key, x):
             key, now = jax.random.split(key)
             return key, x + jax.random.normal(now)

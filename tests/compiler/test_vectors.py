@@ -29,8 +29,7 @@ from tests.tolerances import F64_TRANSFORM, relative_error
 
 def differences(seeds: range, samples: int, lanes: int) -> list[str]:
     cases = [
-        (random_programs.program(seed), random_programs.arguments(seed, samples))
-        for seed in seeds
+        (random_programs.program(seed), random_programs.arguments(seed, samples)) for seed in seeds
     ]
     wrong = []
     found = by_vectors(cases, lanes, samples)
@@ -116,6 +115,7 @@ def of_samples(f, batch, operands, axes, outs, lanes, summed=()):
 
 def mixture(x, w, i):
     """Reads and writes at indices that are the same in every lane, and at others."""
+
     def turn(k, c):
         return c.at[k].add(w[k] * x[0, 1]).at[i[0]].mul(0.5 + w[i[1]])
 
@@ -189,6 +189,7 @@ def test_what_all_lanes_share_is_scalar():
 
 def test_lanes_part_and_meet():
     """Loops and branches whose conditions differ, nested, with arrays that outlive them."""
+
     def f(x, n, flag):
         def inner(c):
             k, y, a = c

@@ -134,8 +134,8 @@ def test_bad_input_is_named() -> None:
     q = model.default_state().q
     with pytest.raises(rb.UnsupportedFeature, match=r"capsule and ellipsoid.*pairs="):
         rb.contact.detect(model, q)
-    with pytest.raises(rb.UnknownName, match=r"flor.*floor"):
-        rb.contact.detect(model, q, pairs=[("flor", "torso")])
+    with pytest.raises(rb.UnknownName, match=r"flor.*floor"):  # codespell:ignore
+        rb.contact.detect(model, q, pairs=[("flor", "torso")])  # codespell:ignore
     with pytest.raises(rb.InputError, match="two geoms"):
         rb.contact.detect(model, q, pairs=["floor"])
     for bad in (3, "ab", [3], [("floor",)]):

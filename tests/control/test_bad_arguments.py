@@ -30,7 +30,6 @@ BAND = C.linear.LinearQuadratic(*map(jnp.asarray, (
 STATES = rb.State(jnp.zeros((4, 2)), jnp.zeros((4, 2)))
 
 
-
 PROBLEM = C.Problem(LINE, 3, 1.0, running=[C.Control()], bounds=(-1.0, 1.0))
 
 

@@ -1,6 +1,5 @@
 """The Python blocks of each page run, in one scope, in a temporary folder."""
 
-
 import matplotlib
 import pytest
 

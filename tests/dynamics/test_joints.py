@@ -398,7 +398,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     with pytest.raises(rb.UnknownName, match="screw"):
         model.with_joint(name, "scrw")
     with pytest.raises(rb.UnknownName, match="pitch"):
-        model.with_joint(name, "screw", pich=0.1)
+        model.with_joint(name, "screw", pich=0.1)  # codespell:ignore
 
 
 @pytest.mark.parametrize(

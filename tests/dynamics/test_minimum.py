@@ -26,9 +26,7 @@ MINIMA = {
 def test_operations_of_forward_dynamics(scene):
     model = rb.load(scene).fix_zeros()
     state = model.default_state()
-    count = rb.operation_count(
-        rb.forward_dynamics, model, state.q, state.v, state.v, traced=LEAVES
-    )
+    count = rb.operation_count(rb.forward_dynamics, model, state.q, state.v, state.v, traced=LEAVES)
     least, times = MINIMA[scene]
     assert least <= count.total <= times * least
 

@@ -141,7 +141,5 @@ def test_clipped_sum():
 
 def test_motion_of_a_policy():
     env = rb.envs.make("cart_pole_balance")
-    found = motion_of_policy(
-        env, lambda obs, key: jnp.zeros(1, obs.dtype), samples=2, seconds=0.05
-    )
+    found = motion_of_policy(env, lambda obs, key: jnp.zeros(1, obs.dtype), samples=2, seconds=0.05)
     assert found.trajectory.q.shape == (2, 6, 2)

@@ -139,7 +139,7 @@ def test_bad_inputs():
     start = model.default_state()
     with pytest.raises(rb.InputError, match=r"rollout: tau has shape \(5, 3\), expected \(5, 2\)"):
         rb.rollout(model, start, None, DT, tau=jnp.zeros((5, 3)))
-    with pytest.raises(rb.InputError, match=r"wrenches returned has shape \(2,\), expec"):
+    with pytest.raises(rb.InputError, match=r"wrenches returned has shape \(2,\), "):
         rb.rollout(model, start, None, DT, steps=2, wrenches=lambda t, s: jnp.zeros(2))
     with pytest.raises(rb.InputError, match=r"simulate: tau has shape \(3,\), expected \(2,\)"):
         rb.simulate(model, start, jnp.linspace(0, 1, 3), tau=jnp.zeros(3))
@@ -149,7 +149,7 @@ def test_what_a_law_returns_is_checked():
     """Wherever a law is called: for accelerations, and for the forces that give them."""
     model = rb.load("cart_pole")
     for integrator in ("semi_implicit_euler", "variational_midpoint"):
-        with pytest.raises(rb.InputError, match=r"result of the dynamics has shape \(3,\), expec"):
+        with pytest.raises(rb.InputError, match=r"result of the dynamics has shape \(3,\), "):
             rb.step(
                 model, model.default_state(), dt=DT, integrator=integrator,
                 dynamics=lambda model, t, state, tau, f_ext: jnp.zeros(3),

@@ -294,6 +294,18 @@ def test_a_motion_that_blows_up_is_a_value():
     assert not bool(out.ok)
 
 
+@pytest.mark.slow
+def test_a_derivative_of_a_motion_that_blows_up_warns():
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
+
+    def end(v, dt):
+        return rb.rollout(model, state.replace(v=v), None, dt, steps=5).q[-1].sum()
+
+    with pytest.warns(UserWarning, match="the motion has values that are not finite"):
+        jax.grad(end, argnums=(0, 1))(state.v, 1.0)
+
+
 def test_the_rate_of_an_increment_is_the_inverse_right_jacobian():
     top = rb.load("free_body").topology
     u, v = (0.3 * np.sin(np.arange(k, k + 6.0)) for k in (1, 2))

@@ -69,7 +69,7 @@ def lattice_way(grid: OccupancyGrid, shape: Footprint, goal, finer: int) -> tupl
         both = free.ravel()[a] & free.ravel()[b]
         edges.append((a[both], b[both], np.full(both.sum(), step * math.hypot(i, j))))
     a, b, way = (np.concatenate(x) for x in zip(*edges, strict=True))
-    graph = sparse.csr_matrix((way, (a, b)), (free.size, free.size))
+    graph = sparse.csr_array((way, (a, b)), (free.size, free.size))
     at = np.argmin(np.where(free, np.hypot(*(points - goal).transpose(2, 0, 1)), np.inf))
     return points.reshape(-1, 2), dijkstra(graph, directed=False, indices=at), at
 

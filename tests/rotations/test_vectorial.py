@@ -1,6 +1,5 @@
 """Masarati's Table A.1: the vectorial parametrizations against their closed forms, row by row."""
 
-
 import jax
 import jax.numpy as jnp
 import mpmath

@@ -43,9 +43,9 @@ def test_tolerance_is_reached(name: str) -> None:
     assert least <= steps < most, (error, steps)
 
 
-@pytest.mark.parametrize("name", [
-    pytest.param("generalized_alpha", marks=pytest.mark.slow), "yoshida4"
-])
+@pytest.mark.parametrize(
+    "name", [pytest.param("generalized_alpha", marks=pytest.mark.slow), "yoshida4"]
+)
 def test_step_doubling_serves_those_without_an_estimate(name: str) -> None:
     error, steps = adaptive(name, diffrax.HalfSolver(SOLVERS[name].make()))
     assert error < 100 * TOLERANCE

@@ -17,9 +17,7 @@ from tests.solvers.scenes import SCENES, SOLVERS, flat
 SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("kvaerno4", "ros34pw2", "pece4")]
 
 
-@pytest.mark.parametrize("name", [
-    "rk4", pytest.param("gauss_legendre2", marks=pytest.mark.slow)
-])
+@pytest.mark.parametrize("name", ["rk4", pytest.param("gauss_legendre2", marks=pytest.mark.slow)])
 def test_rounding_no_longer_adds_up(name: str) -> None:
     """cos t in single precision, 40,000 steps: plain additions lose 1.5e-5 (RK4), these 5e-7.
 
@@ -46,9 +44,9 @@ def test_rounding_no_longer_adds_up(name: str) -> None:
     assert plain > 10 * kept
 
 
-@pytest.mark.parametrize("name", [
-    "euler", pytest.param("adams_bashforth3", marks=pytest.mark.slow), *SLOW
-])
+@pytest.mark.parametrize(
+    "name", ["euler", pytest.param("adams_bashforth3", marks=pytest.mark.slow), *SLOW]
+)
 def test_is_the_solver_that_it_wraps(name: str) -> None:
     """Steps and dense output, to rounding."""
     scene = SCENES["ode"]

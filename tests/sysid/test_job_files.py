@@ -57,11 +57,11 @@ def test_the_page_shows_the_example():
 
 
 def test_a_joint_that_does_not_exist_is_named(example):
-    for name in ("sholder", "nope"):
+    for name in ("sholder", "nope"):  # codespell:ignore
         with pytest.raises(UnknownName, match=rf"joint of a column of sensor q '{name}'.*'elbow'"):
             read(example, ANGLE, ANGLE.replace('"shoulder", ', f'"{name}", '))
     with pytest.raises(UnknownName, match="did you mean 'shoulder'"):
-        read(example, ANGLE, ANGLE.replace('"shoulder", ', '"sholder", '))
+        read(example, ANGLE, ANGLE.replace('"shoulder", ', '"sholder", '))  # codespell:ignore
     with pytest.raises(UnknownName, match=r"actuator of a column of sensor ctrl 'hip'"):
         read(example, 'sensor = "ctrl", joint = "elbow"', 'sensor = "ctrl", joint = "hip"')
     with pytest.raises(InputError, match=r"shoulder angle.*give joint = "):

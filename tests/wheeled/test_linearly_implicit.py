@@ -21,9 +21,9 @@ def made(name, tyre=BRUSH, motor=None, **numbers):
 
 def end(vehicle, state, u, seconds, steps, method=STEP):
     path = wheeled.rollout(
-        vehicle, state, jnp.tile(u, (steps, 1)), seconds / steps, integrator=method,
-        save_every=steps,
-    )
+        vehicle, state, jnp.tile(u, (steps, 1)), seconds / steps,
+        integrator=method, save_every=steps,
+    )  # fmt: skip
     return path.q[-1]
 
 

@@ -167,7 +167,7 @@ def beam_mesh(
     def prestress(u: np.ndarray) -> Any:
         return quadratic_form(G, np.repeat(EA * (axial @ u) * w, 2))
 
-    return FiniteElements(x, sparse.csr_matrix(M), K, masses, places, D, T, J, prestress)
+    return FiniteElements(x, sparse.csr_array(M), K, masses, places, D, T, J, prestress)
 
 
 def _from_section(given: Section) -> BeamSection:
@@ -274,4 +274,4 @@ def _global(local: np.ndarray, R: np.ndarray, ends: np.ndarray, n: int, vector: 
     columns = np.broadcast_to(columns, (e, points, rows, 12))
     where = np.broadcast_to(np.arange(e * points * rows).reshape(e, points, rows, 1), columns.shape)
     data = out.reshape(e, points, rows, 12).ravel()
-    return sparse.csr_matrix((data, (where.ravel(), columns.ravel())), (e * points * rows, 6 * n))
+    return sparse.csr_array((data, (where.ravel(), columns.ravel())), (e * points * rows, 6 * n))

@@ -90,7 +90,7 @@ class FiniteElements:
         n = len(x)
         matrices = []
         for name, given in (("M", M), ("K", K)):
-            A = sparse.csr_matrix(given, dtype=float)
+            A = sparse.csr_array(given, dtype=float)
             if A.shape not in ((3 * n, 3 * n), (6 * n, 6 * n)):
                 raise InputError(
                     f"{name}: got the shape {A.shape}, expected ({3 * n}, {3 * n}) or "
@@ -100,13 +100,13 @@ class FiniteElements:
                 raise InputError(f"{name}: a number is not finite, expected finite numbers")
             if abs(A - A.T).max() > 1e-8 * abs(A).max():
                 raise InputError(f"{name} is not symmetric; give (A + A^T) / 2 if that is rounding")
-            matrices.append(sparse.csr_matrix((A + A.T) / 2))
+            matrices.append(sparse.csr_array((A + A.T) / 2))
         mass, stiffness = matrices
         if mass.shape != stiffness.shape:
             raise InputError(f"M has the shape {mass.shape} and K {stiffness.shape}, expected one")
         step = mass.shape[0] // n
         rows = (np.arange(n)[:, None] * step + np.arange(3)).ravel()
-        D = sparse.csr_matrix((np.ones(3 * n), (np.arange(3 * n), rows)), (3 * n, step * n))
+        D = sparse.csr_array((np.ones(3 * n), (np.arange(3 * n), rows)), (3 * n, step * n))
         return cls(x, mass, stiffness, _component(mass, step), x, D)
 
     def rigid_modes(self, about: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def quadratic_form(A: Any, weights: np.ndarray) -> Any:
     """Compute A^T diag(weights) A of a sparse matrix A."""
     from scipy import sparse
 
-    return sparse.csr_matrix(A.T @ sparse.diags(weights) @ A)
+    return sparse.csr_array(A.T @ sparse.diags_array(weights) @ A)
 
 
 def block_diagonal(blocks: np.ndarray) -> Any:
@@ -148,4 +148,4 @@ def block_diagonal(blocks: np.ndarray) -> Any:
     from scipy import sparse
 
     b = len(blocks)
-    return sparse.bsr_matrix((blocks, np.arange(b), np.arange(b + 1)), (3 * b, 3 * b)).tocsr()
+    return sparse.bsr_array((blocks, np.arange(b), np.arange(b + 1)), (3 * b, 3 * b)).tocsr()

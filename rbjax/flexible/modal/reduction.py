@@ -196,8 +196,8 @@ class ConstrainedSolver:
         self.K, self.n, self.B = K, K.shape[0], B
         # rows of unit size, scaled to the size of K
         self.scale = abs(K).max() / np.abs(B).max(axis=1)
-        C = sparse.csr_matrix(B * self.scale[:, None])
-        system = sparse.bmat([[K, C.T], [C, None]], "csc")
+        C = sparse.csr_array(B * self.scale[:, None])
+        system = sparse.block_array([[K, C.T], [C, None]], format="csc")
         message = (
             "craig_bampton: the structure can move without deformation while its interfaces are "
             "at rest; connect all of its parts, and give an interface or frame=None to a free body"

@@ -67,7 +67,7 @@ def tetrahedral_mesh(
     from scipy import sparse
 
     w = volume.ravel()
-    K = sparse.csr_matrix(strain.T @ sparse.kron(sparse.diags(w), C, "csr") @ strain)
+    K = sparse.csr_array(strain.T @ sparse.kron(sparse.diags_array(w), C, "csr") @ strain)
 
     _, dm, N = _sample(x, cells, 3 if quadratic else 2)
     masses = density * dm.ravel()
@@ -84,7 +84,7 @@ def tetrahedral_mesh(
     def prestress(u: np.ndarray) -> Any:
         s = (strain @ u).reshape(-1, 6) @ C * w[:, None]
         stress = s[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
-        return sparse.csr_matrix(G.T @ block_diagonal(np.repeat(stress, 3, axis=0)) @ G)
+        return sparse.csr_array(G.T @ block_diagonal(np.repeat(stress, 3, axis=0)) @ G)
 
     places = np.einsum("gn,ena->ega", N, x[cells]).reshape(-1, 3)
     return FiniteElements(
@@ -221,6 +221,6 @@ def _assemble(rows: np.ndarray, cells: np.ndarray, n: int) -> Any:
     own = (cells[:, :, None] * 3 + np.arange(3)).reshape(e, 1, 1, 3 * nodes)
     columns = np.broadcast_to(own, (e, g, k, 3 * nodes)).ravel()
     where = np.repeat(np.arange(e * g * k), 3 * nodes)
-    out = sparse.csr_matrix((rows.ravel(), (where, columns)), (e * g * k, 3 * n))
+    out = sparse.csr_array((rows.ravel(), (where, columns)), (e * g * k, 3 * n))
     out.eliminate_zeros()
     return out

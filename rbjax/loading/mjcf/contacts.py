@@ -18,12 +18,15 @@ from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons
 from rbjax.model.geoms import SIZES
 
 _SHOWN = 4  # names listed before "and N more"
-_BITS = mujoco.mjtEnableBit
-#: options that change contacts and are not supported
+#: options that change contacts and are not supported; MuJoCo 3 has none of them
 _OPTIONS = {
-    _BITS.mjENBL_DIAGEXACT: "the exact diagonal of constraints (diagexact)",
-    _BITS.mjENBL_IPC: "barriers of contacts (ipc)",
-    _BITS.mjENBL_SPECULATIVE: "speculative contacts",
+    getattr(mujoco.mjtEnableBit, name): words
+    for name, words in {
+        "mjENBL_DIAGEXACT": "the exact diagonal of constraints (diagexact)",
+        "mjENBL_IPC": "barriers of contacts (ipc)",
+        "mjENBL_SPECULATIVE": "speculative contacts",
+    }.items()
+    if hasattr(mujoco.mjtEnableBit, name)
 }
 
 

@@ -86,8 +86,9 @@ def dropped_features(
         note("tendon armature", tendon_armature(m) != 0, tendon)
     note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("poses of mocap bodies in keyframes", _keyframes_of_mocap(m), obj.mjOBJ_KEY)
-    note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    note("plastic tendon springs", m.tendon_plasticadr >= 0, tendon)
+    if hasattr(m, "jnt_plasticadr"):  # MuJoCo 3 has no plasticity
+        note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
+        note("plastic tendon springs", m.tendon_plasticadr >= 0, tendon)
     left_out = [reason_left_out(m, i) for i in range(m.nactuator)]
     for why in dict.fromkeys(filter(None, left_out)):
         note(f"actuators: {why}", [why == reason for reason in left_out], obj.mjOBJ_ACTUATOR)

@@ -60,7 +60,7 @@ def test_a_mass_matrix_is_a_sum_over_pairs():
     s, weight = (x + 1) / 2, weight / 2
     fine = np.stack([1 - s, s], 1)
     exact = inertia_invariants(mass * weight, fine @ places, np.einsum("pn,naj->paj", fine, modes))
-    for given in (matrix, sp.csr_matrix(matrix)):
+    for given in (matrix, sp.csr_array(matrix)):
         for a, b in zip(inertia_invariants(given, places, modes), exact, strict=True):
             close(a, b)
 

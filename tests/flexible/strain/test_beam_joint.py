@@ -248,6 +248,6 @@ def test_unknown_names():
     with pytest.raises(UnknownName, match="k_y"):
         strain_beam({"k_z": 1}, natural={"e_x": 1})
     with pytest.raises(UnknownName, match="length"):
-        BEAMS["planar"].values_of(lenght=1.0)
+        BEAMS["planar"].values_of(lenght=1.0)  # codespell:ignore
     with pytest.raises(InputError, match="expected 3"):
         BEAMS["planar"].values_of(rotary_inertia=(1.0, 2.0))
