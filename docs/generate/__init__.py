@@ -8,6 +8,7 @@ A file with a function `pages(root)` is a generator; `__main__` finds it by itse
 - `rooms`: the public names by room and subject
 - `reference`: a page for each room
 - `plain_text`, `docstrings`: docstrings as Markdown, for griffe
+- `home`: README as the home page
 - `registries`: joints, forces, solvers and other registries as tables
 - `command_line`: the help of `rbjax`
 - `style_sheet`: the colours of the site

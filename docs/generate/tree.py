@@ -52,9 +52,10 @@ def generated(name: str, root: Path) -> Pages:
 
 
 def copy_sources(root: Path, out: Path) -> None:
-    """Copy docs/ to an empty folder."""
+    """Copy docs/ to an empty folder, without its list of folders: README is the home page."""
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(root / "docs", out, ignore=shutil.ignore_patterns(*LEFT_OUT, "__pycache__"))
+    (out / "index.md").unlink()
 
 
 def write(pages: Pages, out: Path) -> None:

@@ -54,7 +54,8 @@ def dead(page: Path, text: str) -> list[str]:
             found.append(link)  # the site has docs/ only
             continue
         below = target.relative_to(DOCS).as_posix() if inside else ""
-        content = made().get(below)
+        readme = page.name == "README.md"  # is read where no page is generated
+        content = None if readme else made().get(below)
         if content is None and not target.exists():
             found.append(link)
         elif heading and target.suffix == ".md":
