@@ -12,6 +12,7 @@ compiles. It writes results/training-devices-TASK-<device>.json. f32.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from typing import Any
 
@@ -27,9 +28,7 @@ def rate(
     env: rb.envs.Environment, settings: dict[str, Any], devices: int, iterations: int, reports: int
 ) -> dict[str, float]:
     """Train for some reports. Return the seconds to the first one, and the rate of the fastest."""
-    per_iteration = (
-        settings["batch_size"] * settings["num_minibatches"] * settings["unroll_length"]
-    )
+    per_iteration = settings["batch_size"] * settings["num_minibatches"] * settings["unroll_length"]
     settings = settings | {"steps": per_iteration * iterations * reports, "reports": reports}
     times = [(time.perf_counter(), 0)]
 
@@ -41,7 +40,7 @@ def rate(
     )
     rates = [
         (steps - before) / (t - last)
-        for (last, before), (t, steps) in zip(times[1:], times[2:], strict=False)
+        for (last, before), (t, steps) in itertools.pairwise(times[1:])
     ]
     return {"first_s": times[1][0] - times[0][0], "M samples/s": max(rates) / 1e6}
 
