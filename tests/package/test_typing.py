@@ -14,7 +14,7 @@ SCRIPT = Path(__file__).parent / "users_script.py"
 def test_a_users_script_passes_mypy_strict(tmp_path: Path) -> None:
     """As for an installed package: errors inside rbjax do not count, and a wrong name is one."""
     script = tmp_path / "script.py"
-    script.write_text(SCRIPT.read_text() + "\nrb.nothing\nrb.mass_matrix(model)\n")
+    script.write_text(SCRIPT.read_text() + "\n    rb.nothing\n    rb.mass_matrix(model)\n")
     (tmp_path / "mypy.ini").write_text(
         "[mypy]\nstrict = true\n[mypy-rbjax.*]\nignore_errors = true\n"
         "[mypy-mujoco.*,llvmlite.*,optax.*,scipy.*,mpmath.*]\nignore_missing_imports = true\n"
