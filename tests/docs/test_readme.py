@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from docs.generate.pictures.__main__ import CLIPS as CLIPS_MADE
 from tests.docs.pages import FENCE, ROOT, blocks
 
 TEXT = (ROOT / "README.md").read_text()
@@ -48,6 +49,7 @@ def test_every_clip_leads_to_its_notebook():
     )
     assert len(shown) == 9
     assert all(Path(notebook).name == clip for clip, notebook in shown)
+    assert {clip for clip, _ in shown} == set(CLIPS_MADE)
     assert {f"{clip}.webp" for clip, _ in shown} | {"strip.webp"} == {
         p.name for p in CLIPS.iterdir()
     }

@@ -8,10 +8,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-jax.config.update("jax_enable_x64", True)
-
-from docs.generate.pictures import motions, plane  # noqa: E402
-from docs.generate.pictures.painting import save  # noqa: E402
+from docs.generate.pictures import motions, plane
+from docs.generate.pictures.painting import save
 
 FOLDER = Path(__file__).parents[2] / "clips"
 CLIPS = {
@@ -37,4 +35,6 @@ def main(names: list[str]) -> None:
             save(list(CLIPS[name]((270, 180))), FOLDER / f"{name}.webp", 150_000)
 
 
-main(sys.argv[1:])
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    main(sys.argv[1:])
