@@ -30,7 +30,7 @@ def table(name: str) -> str:
     lines = sum(line.startswith("| ") for line in text.splitlines()) - 2
     if lines <= OPEN:
         return f"\n{text}\n\n"
-    return f'\n<details markdown="1"><summary>{lines} rows</summary>\n\n{text}\n\n</details>\n\n'
+    return f'\n<details markdown="1"><summary>table of {lines} rows</summary>\n\n{text}\n\n</details>\n\n'
 
 
 def filled(markdown: str) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 from docs.generate import measured
 from docs.generate.measured import Row
 
+SHOWN = 2  # lines of origin below a table; more are folded
 DATA = "results"  # beside the pages on the site
 
 
@@ -68,7 +69,7 @@ class Table:
     """Rows of some results files.
 
     `files` are patterns. `where` chooses rows, by values of columns or by a function. `command`
-    repeats the measurement, if the file does not name it itself.
+    repeats the measurement, if the file does not name it itself. `optional` files may be absent.
     """
 
     files: tuple[str, ...]
@@ -77,9 +78,10 @@ class Table:
     where: dict[str, Any] | Callable[[Row], bool] = field(default_factory=dict)
     sort: Callable[[Row], Any] | None = None
     limit: int = 0
+    optional: bool = False
 
     def names(self) -> list[str]:
-        return matching(self.files)
+        return matching(self.files, self.optional)
 
     def rows(self) -> list[Row]:
         """The chosen rows; each has its device as "on" and the name of its file as "file"."""
@@ -97,6 +99,8 @@ class Table:
         return chosen[: self.limit] if self.limit else chosen
 
     def markdown(self) -> str:
+        if not self.names():
+            return f"Not measured yet: `{self.command}`."
         columns = self.columns
         lines = [[c.head() for c in columns]]
         lines += [[c.cell(row) for c in columns] for row in self.rows()]
@@ -144,12 +148,13 @@ class Pivot:
         return Column(lambda _: self.best(values), "", self.value.digits, self.value.scale).cell({})
 
 
-def matching(patterns: Iterable[str]) -> list[str]:
-    """The names of the results files that match, in the order of the patterns."""
+def matching(patterns: Iterable[str], optional: bool = False) -> list[str]:
+    """The names of the results files that match, in the order of the patterns. A pattern without a
+    file is an error, unless the files are optional."""
     out: list[str] = []
     for pattern in patterns:
         found = fnmatch.filter(measured.names(), pattern)
-        if not found:
+        if not found and not optional:
             raise LookupError(f"no file of benchmarks/results matches {pattern!r}")
         out += [name for name in found if name not in out]
     return out
@@ -181,4 +186,7 @@ def origin(names: list[str], command: str = "") -> str:
         links = ", ".join(f"[{name}.json]({DATA}/{name}.json)" for name in files)
         ran = f", `{how}`" if how else ""
         out.append(f"<small>{machine}; {versions}; commit {commit}; {date}{ran}. {links}</small>")
-    return "  \n".join(out)
+    if len(out) <= SHOWN:
+        return "  \n".join(out)
+    lines = "\n".join(f"- {line}" for line in out)
+    return f'<details markdown="1"><summary>data: {len(names)} files</summary>\n\n{lines}\n\n</details>'

@@ -107,6 +107,20 @@ TABLES = {
         RATE,
         order=("rollout", "free"),
     ),
+    "warp contact": Table(
+        ("gpu-warp-contact-*",),
+        (
+            ROBOT,
+            C("what", "solver"),
+            BATCH,
+            C("M/s median", "million a second"),
+            C("rows a world", "constraint rows a robot"),
+            C("version", "version of MuJoCo Warp"),
+            C("compile_s", "compiling, s"),
+        ),
+        "python -m benchmarks.gpu.mujoco_warp --robots humanoid humanoid_feet go1.xml g1.xml",
+        optional=True,
+    ),
     "gpu contact compile": Pivot(
         ("gpu-contact-*",),
         (ROBOT,),
