@@ -14,6 +14,7 @@ from docs.generate import measured
 from docs.generate.figures import renewed
 from docs.generate.subjects import TABLES
 from docs.generate.subjects.charts import CHARTS
+from docs.generate.tables import folded
 
 ROOT = measured.ROOT
 FOLDER = ROOT / "docs" / "benchmarks"
@@ -30,7 +31,7 @@ def table(name: str) -> str:
     lines = sum(line.startswith("| ") for line in text.splitlines()) - 2
     if lines <= OPEN:
         return f"\n{text}\n\n"
-    return f'\n<details markdown="1"><summary>table of {lines} rows</summary>\n\n{text}\n\n</details>\n\n'
+    return f"\n{folded(f'table of {lines} rows', text)}\n\n"
 
 
 def filled(markdown: str) -> str:

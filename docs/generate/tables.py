@@ -189,4 +189,9 @@ def origin(names: list[str], command: str = "") -> str:
     if len(out) <= SHOWN:
         return "  \n".join(out)
     lines = "\n".join(f"- {line}" for line in out)
-    return f'<details markdown="1"><summary>data: {len(names)} files</summary>\n\n{lines}\n\n</details>'
+    return folded(f"data: {len(names)} files", lines)
+
+
+def folded(title: str, text: str) -> str:
+    """Text that opens on a click."""
+    return f'<details markdown="1"><summary>{title}</summary>\n\n{text}\n\n</details>'
