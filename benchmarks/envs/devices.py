@@ -6,7 +6,7 @@ A scale is a factor of the robots and of the batches of the task's settings. Wit
 the number of devices each device has the work of one; with 1 the devices share it. "over one" is
 the rate over that of one device at the first scale. Each training has --reports reports with
 --iterations iterations of PPO each; the rate is that of the fastest report after the first, which
-compiles. It writes results/training-devices-TASK-<device>.json. f32.
+compiles. It writes results/gpu-devices-TASK-<device>.json. f32.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> None:
         rows.append(row)
         row["over one"] = row["M samples/s"] / rows[0]["M samples/s"]
         print(row, flush=True)
-        save(f"training-devices-{given.task}".replace("_", "-"), rows)
+        save(f"gpu-devices-{given.task}".replace("_", "-"), rows)
     print(markdown_table(rows, COLUMNS))
 
 

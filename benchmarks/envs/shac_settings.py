@@ -206,14 +206,13 @@ def main() -> None:
         update, memory = adam.update(slope, memory)
         rate = h["rate"] * fall(k, iterations)
         leaves = jax.tree.map(lambda p, u: p - rate * u, leaves, update)
-        targets = value_targets(
-            rewards, values, path.done, path.ended, h["discount"], h["trace"]
-        )
+        targets = value_targets(rewards, values, path.done, path.ended, h["discount"], h["trace"])
         rated = optax.GradientTransformation(
             fitter.init,
             lambda g, m, p: (
                 lambda u, m: (
-                    jax.tree.map(lambda x: -h["critic_rate"] * fall(k, iterations) * x, u), m
+                    jax.tree.map(lambda x: -h["critic_rate"] * fall(k, iterations) * x, u),
+                    m,
                 )
             )(*fitter.update(g, m)),
         )
@@ -268,9 +267,7 @@ def main() -> None:
             return (obs, state, on & ~done, total + jnp.where(on, r, 0.0)), None
 
         zero = jnp.zeros(given.episodes)
-        end, _ = jax.lax.scan(
-            step, (obs, state, zero == 0, zero), jax.random.split(b, env.episode)
-        )
+        end, _ = jax.lax.scan(step, (obs, state, zero == 0, zero), jax.random.split(b, env.episode))
         return end[-1]
 
     found = []

@@ -10,9 +10,7 @@ from latex2mathml.converter import convert
 DISPLAY = re.compile(r"^( *)\$\$(.+?)\$\$[ \t]*$", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"(?<![\\$\w])\$(?=[^\s$])([^$\n]*?[^\s$\\])\$(?![\w$])")
 #: a matrix in square brackets, which the style sheet draws: a font may have none of its height
-BRACKETS = re.compile(
-    r"<mo>&#x0005B;</mo><mtable>((?:(?!<mtable>).)*?)</mtable><mo>&#x0005D;</mo>"
-)
+BRACKETS = re.compile(r"<mo>&#x0005B;</mo><mtable>((?:(?!<mtable>).)*?)</mtable><mo>&#x0005D;</mo>")
 #: characters that Markdown would take as its own inside a formula
 MARKS = str.maketrans({c: f"&#{ord(c)};" for c in "*_[]|`\\"})
 

@@ -169,7 +169,7 @@ def all_rooms() -> list[str]:
 def homes() -> dict[int, str]:
     """The path under which each function and class is described, by its id."""
     found: dict[int, str] = {}
-    for room in sorted(all_rooms(), key=lambda r: (r.count(".") + bool(r))):
+    for room in sorted(all_rooms(), key=lambda r: r.count(".") + bool(r)):
         for name in names(room):
             value = getattr(package(room), name)
             path = f"rbjax.{room}.{name}" if room else f"rbjax.{name}"

@@ -37,6 +37,16 @@ TABLES = {
             C(lambda row: _last(row)["episodes"], "episodes"),
         ),
     ),
+    "training on several GPUs": Table(
+        ("gpu-devices-*",),
+        (
+            C("task"),
+            C("devices", "GPUs"),
+            C("num_envs", "robots"),
+            C("M samples/s", "million samples a second"),
+            C("over one", "over one GPU"),
+        ),
+    ),
     "policy through the dynamics": Table(
         ("gpu-policy-*",),
         (
