@@ -10,15 +10,22 @@ import re
 
 #: headings of sections that griffe knows by other names
 SECTIONS = {"Example:": "Examples:", "Fields:": "Attributes:"}
+#: headings of lists of parameters, and an entry for several of them
+PARAMETERS = ("Args:", "Fields:", "Attributes:")
+SEVERAL = re.compile(r"^( +)(\w+(?:, \w+)+): (.*)$")
 #: marks of Markdown; an underscore inside a name is none
-MARKS = re.compile(r"[<*\[\]$]|(?<!\w)_|_(?!\w)")
+MARKS = re.compile(r"[*\[\]$]|(?<!\w)_|_(?!\w)")
 CODE = re.compile(r"(``.+?``|`[^`]+`)", re.DOTALL)
 
 
 def escaped(text: str) -> str:
     """Plain text as Markdown; what is in backticks stays."""
     parts = CODE.split(text)
-    return "".join(p if p.startswith("`") else MARKS.sub(r"\\\g<0>", p) for p in parts)
+    return "".join(p if p.startswith("`") else _plain(p) for p in parts)
+
+
+def _plain(text: str) -> str:
+    return MARKS.sub(r"\\\g<0>", text.replace("<", "&lt;"))
 
 
 def linked(text: str, links: dict[str, str]) -> str:
@@ -32,22 +39,52 @@ def linked(text: str, links: dict[str, str]) -> str:
 
 
 def markdown(text: str, links: dict[str, str]) -> str:
-    """A docstring as Markdown: examples stay as they are."""
-    lines, example = [], None
-    for line in text.split("\n"):
+    """A docstring as Markdown: examples and indented blocks, as of tables, stay as they are."""
+    text = re.sub(r"^( *)Example: (.*)$", r"\1Example:\n\1    \2\n", text, flags=re.MULTILINE)
+    given = _with_one_name_each(text.split("\n"))
+    lines, example, section = [], None, False
+    for line, following in zip(given, [*given[1:], ""], strict=True):
         bare = line.strip()
         indent = len(line) - len(line.lstrip())
         if bare in ("Example:", "Examples:"):
             example = indent
         elif example is not None and bare and indent <= example:
             example = None
+        if bare and not indent:  # "Args:" opens a section, if its text follows at once
+            section = bare.endswith(":") and following.startswith("    ")
         if bare in SECTIONS:
             lines.append(line.replace(bare, SECTIONS[bare]))
-        elif example is not None:
+        elif example is not None or (indent >= 4 and not section):
             lines.append(line)
         else:
             lines.append(f"\0{line}")
     return _convert_runs(lines, links)
+
+
+def _with_one_name_each(lines: list[str]) -> list[str]:
+    """Give each of several parameters with one text, as in "x, y: numbers", its own entry."""
+    out: list[str] = []
+    section = None  # indentation of the heading of a list of parameters
+    at = 0
+    while at < len(lines):
+        line = lines[at]
+        indent = len(line) - len(line.lstrip())
+        if line.strip() in PARAMETERS:
+            section = indent
+        elif section is not None and line.strip() and indent <= section:
+            section = None
+        found = SEVERAL.match(line) if section is not None and indent == section + 4 else None
+        at += 1
+        if not found:
+            out.append(line)
+            continue
+        rest = []
+        while at < len(lines) and lines[at].startswith(" " * (indent + 1)):
+            rest.append(lines[at])
+            at += 1
+        for name in found[2].split(", "):
+            out += [f"{found[1]}{name}: {found[3]}", *rest]
+    return out
 
 
 def _convert_runs(lines: list[str], links: dict[str, str]) -> str:

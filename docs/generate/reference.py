@@ -87,7 +87,7 @@ def table(found: list[rooms.Entry]) -> list[str]:
 
 
 def cell(entry: rooms.Entry) -> str:
-    return escaped(entry.summary).replace("\n", " ")
+    return escaped(entry.summary).replace("|", "\\|")
 
 
 def described(entry: rooms.Entry, room: str) -> list[str]:

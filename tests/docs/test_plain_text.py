@@ -1,0 +1,46 @@
+"""Docstrings as Markdown: plain text is no markup, names are links, examples stay."""
+
+from docs.generate.plain_text import escaped, linked, markdown
+
+LINKS = {"rbjax.load": "rbjax.load", "rbjax.dynamics.jacobian": "rbjax.jacobian"}
+
+TEXT = """Compute x[i] * y_ with `a*b` and mass_matrix.
+
+Args:
+    x, y: numbers [m],
+        two of them.
+    scale: a factor; see `rb.load`.
+
+Example:
+    >>> [1 * 2][0]
+    2
+"""
+
+
+def test_marks_of_plain_text_are_escaped():
+    assert escaped("x[i] * y_ < `a*b` and mass_matrix") == (
+        r"x\[i\] \* y\_ &lt; `a*b` and mass_matrix"
+    )
+
+
+def test_names_of_the_reference_become_links():
+    text = "`rb.load`, `rbjax.dynamics.jacobian(model)`, `rb.nothing`"
+    assert linked(text, LINKS) == (
+        "[`rb.load`][rbjax.load], [`rbjax.dynamics.jacobian(model)`][rbjax.jacobian], `rb.nothing`"
+    )
+    assert linked("[`rb.load`](x.md)", LINKS) == "[`rb.load`](x.md)"
+
+
+def test_a_docstring():
+    lines = markdown(TEXT, LINKS).split("\n")
+    assert lines[0] == r"Compute x\[i\] \* y\_ with `a*b` and mass_matrix."
+    assert lines[3:8] == [
+        r"    x: numbers \[m\],", "        two of them.",
+        r"    y: numbers \[m\],", "        two of them.",
+        "    scale: a factor; see [`rb.load`][rbjax.load].",
+    ]  # fmt: skip
+    assert lines[9:12] == ["Examples:", "    >>> [1 * 2][0]", "    2"]
+
+
+def test_a_text_table_stays():
+    assert "    a_  [b]" in markdown("Text:\n\n    a_  [b]\n\nMore.", {})
