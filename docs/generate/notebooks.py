@@ -84,10 +84,11 @@ def display(data: dict[str, Any], notebook: Notebook, heading: str) -> str:
 
 
 def frame(name: str, title: str) -> str:
-    """A page that plays inside the page; a link opens it alone."""
+    """A page that plays inside the page; a link opens it alone. The page's address is a folder."""
+    look = 'style="width:100%;height:430px"'
     return (
-        f'<iframe src="../{name}" title="{title}" loading="lazy" class="rbjax-animation"></iframe>'
-        f"\n\n[open the animation alone]({name})"
+        f'<object type="text/html" data="../{name}" aria-label="{title}" {look}></object>'
+        f"\n\n[open it alone]({name})"
     )
 
 

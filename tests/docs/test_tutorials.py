@@ -43,7 +43,7 @@ def test_text_code_and_outputs_in_their_order(tmp_path):
     assert found.body[1] == "```python\nprint(1)\n```" and found.body[2] == "```text\nred\n```"
     assert found.body[3] == "![Title](one-1.png)" and found.files["one-1.png"] == b"a picture"
     assert found.body[6] == "```text\n3\n```"
-    assert 'src="../one-2.html"' in found.body[7] and "play()" in str(found.files["one-2.html"])
+    assert 'data="../one-2.html"' in found.body[7] and "play()" in str(found.files["one-2.html"])
 
 
 def test_an_error_in_a_notebook_is_named(tmp_path):
