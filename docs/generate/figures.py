@@ -20,7 +20,7 @@ from typing import Any
 from docs.generate import measured
 
 ROOT = Path(__file__).resolve().parents[2]
-TYPED = re.compile(r"([^\s|<>\[\]()*/]+)<!-- = ([\w.-]+) -->")
+TYPED = re.compile(r"(-?\d[\d.,e-]*)<!-- = ([\w.-]+) -->")
 GPU, H100, CORE = "nvidia-h200", "nvidia-h100-80gb-hbm3", "amd-epyc"
 
 
