@@ -190,7 +190,7 @@ def main() -> None:
 
         def loss(leaves: Any) -> tuple:
             policy = eqx.combine(leaves, rest)
-            moves.limit_slope = lambda x, _: bounded(x, h["limit"])
+            moves.limit_gradient = lambda x, _: bounded(x, h["limit"])
             after, path = moves.move_samples(env, policy, s, other, given.horizon, params_at(h, k))
             values = jax.vmap(jax.vmap(slow))(path.seen)
             rewards = h["reward_scale"] * path.rewards

@@ -45,7 +45,8 @@ def new_critic(
 ) -> Critic:
     """Create an untrained `Critic` for an environment.
 
-    The weights of its last layer are small, so that random slopes of V do not mislead the policy.
+    The weights of its last layer are small, so that random gradients of V do not mislead the
+    policy.
 
     Example:
         >>> import jax
@@ -61,14 +62,14 @@ def new_critic(
 
 
 def fit_critic(
-    critic: Critic, memory: Any, fitter: Any, obs: Any, targets: jax.Array, steps: int,
+    critic: Critic, optimiser_state: Any, fitter: Any, obs: Any, targets: jax.Array, steps: int,
     mean: Callable,
 ) -> tuple[Critic, Any]:  # fmt: skip
     """Fit a critic to targets by gradient steps on the whole batch.
 
     Args:
         critic: the value function.
-        memory: state of the optimiser.
+        optimiser_state: state of the optimiser.
         fitter: optax transformation.
         obs: observations, each (h, B, n).
         targets: (h, B); those that are not finite are left out.
@@ -95,14 +96,14 @@ def fit_critic(
         return (weights * (values - targets) ** 2).mean()
 
     def once(carry: tuple, _: None) -> tuple[tuple, None]:
-        net, memory = carry
-        slopes = jax.vmap(jax.grad(error), (None, 0, 0, 0))(net, x, targets, weights)
-        slope = mean(jax.tree.map(lambda x: x.mean(0), slopes))
-        update, memory = fitter.update(slope, memory, net)
-        return (optax.apply_updates(net, update), memory), None
+        net, optimiser_state = carry
+        gradients = jax.vmap(jax.grad(error), (None, 0, 0, 0))(net, x, targets, weights)
+        gradient = mean(jax.tree.map(lambda x: x.mean(0), gradients))
+        update, optimiser_state = fitter.update(gradient, optimiser_state, net)
+        return (optax.apply_updates(net, update), optimiser_state), None
 
-    (net, memory), _ = jax.lax.scan(once, (net, memory), None, steps)
-    return Critic(eqx.combine(net, rest), critic.normaliser), memory
+    (net, optimiser_state), _ = jax.lax.scan(once, (net, optimiser_state), None, steps)
+    return Critic(eqx.combine(net, rest), critic.normaliser), optimiser_state
 
 
 def weights_of(critic: Critic) -> Any:
@@ -110,8 +111,8 @@ def weights_of(critic: Critic) -> Any:
     return eqx.filter(critic.network, eqx.is_inexact_array)
 
 
-def follow(slow: Critic, critic: Critic, rate: float) -> Critic:
+def follow(target: Critic, critic: Critic, rate: float) -> Critic:
     """Return V' + rate (V - V'), from V' and V."""
-    old, rest = eqx.partition(slow.network, eqx.is_inexact_array)
+    old, rest = eqx.partition(target.network, eqx.is_inexact_array)
     net = jax.tree.map(lambda s, v: s + rate * (v - s), old, weights_of(critic))
-    return Critic(eqx.combine(net, rest), slow.normaliser)
+    return Critic(eqx.combine(net, rest), target.normaliser)

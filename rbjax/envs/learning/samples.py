@@ -59,14 +59,14 @@ def move_samples(
     key: jax.Array,
     steps: int,
     params: Any,
-    slope_limit: float | None = None,
+    gradient_limit: float | None = None,
 ) -> tuple[Samples, Path]:
-    """Advance a batch under a policy. slope_limit: of `limit_slope`, in each step."""
+    """Advance a batch under a policy. gradient_limit: of `limit_gradient`, in each step."""
     batch = samples.whole.shape[0]
     once = jax.vmap(env.step_once, (0, 0, 0, None))
 
     def step(keys: jax.Array, state: Any, action: jax.Array) -> tuple:
-        return once(keys, *limit_slope((state, action), slope_limit), params)
+        return once(keys, *limit_gradient((state, action), gradient_limit), params)
 
     first, key = jax.random.split(key)
     fresh = jax.lax.stop_gradient(
@@ -108,15 +108,15 @@ def figures_of(path: Path, parts: int) -> dict[str, jax.Array]:
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
-def limit_slope(x: Any, limit: float | None) -> Any:
+def limit_gradient(x: Any, limit: float | None) -> Any:
     """Return x, a batch. In the gradient, samples that are not finite become zero, and the gradient
     of each sample is scaled to a norm of at most limit / B."""
     return x
 
 
-def _backward(limit: float | None, _: None, slope: Any) -> tuple[Any]:
-    numbers = [s for s in jax.tree.leaves(slope) if jnp.issubdtype(s.dtype, jnp.inexact)]
-    flat = jnp.concatenate([s.reshape(s.shape[0], -1) for s in numbers], 1)
+def _backward(limit: float | None, _: None, gradient: Any) -> tuple[Any]:
+    leaves = [s for s in jax.tree.leaves(gradient) if jnp.issubdtype(s.dtype, jnp.inexact)]
+    flat = jnp.concatenate([s.reshape(s.shape[0], -1) for s in leaves], 1)
     good = jnp.isfinite(flat).all(1)
     factor = jnp.ones_like(flat[:, 0])
     if limit is not None:
@@ -129,7 +129,7 @@ def _backward(limit: float | None, _: None, slope: Any) -> tuple[Any]:
         scaled = s * factor.reshape(-1, *[1] * (s.ndim - 1))
         return jax.vmap(select)(good, scaled, jnp.zeros_like(s))
 
-    return (jax.tree.map(limited, slope),)
+    return (jax.tree.map(limited, gradient),)
 
 
-limit_slope.defvjp(lambda x, limit: (x, None), _backward)
+limit_gradient.defvjp(lambda x, limit: (x, None), _backward)

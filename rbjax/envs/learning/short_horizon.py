@@ -41,9 +41,9 @@ class Training(NamedTuple):
 
     policy: Any
     critic: Any
-    slow: Any
-    policy_memory: Any
-    critic_memory: Any
+    target_critic: Any
+    policy_optimiser_state: Any
+    critic_optimiser_state: Any
     key: jax.Array
     skipped: jax.Array
     samples: Samples
@@ -62,13 +62,15 @@ def shac(
     batch: int = 256,
     horizon: int = 32,
     discount: float = 0.99,
-    trace: float = 0.95,
+    td_lambda: float = 0.95,
     rate: float = 3e-3,
     critic_rate: float = 2e-3,
     critic_steps: int = 8,
-    slow: float = 0.2,
+    target_rate: float = 0.2,
     warm_up: int = 0,
-    slope_limit: float | None = None,
+    reward_scale: float = 1.0,
+    max_grad_norm: float = 1.0,
+    gradient_limit: float | None = None,
     hidden: tuple[int, ...] = (64, 64),
     std: float | None = 0.4,
     optimiser: Any = None,
@@ -92,20 +94,24 @@ def shac(
         batch: number of parallel samples.
         horizon: h, the number of steps of a sample in an iteration.
         discount: g of a step, below 1.
-        trace: l of the targets of the value function, TD(l).
+        td_lambda: l of the targets of the value function, TD(l).
         rate, critic_rate: initial learning rates of Adam, with cosine decay to a tenth.
         critic_steps: updates of the value function in an iteration, each on the whole batch.
-        slow: the update of V' in an iteration is V' + slow (V - V').
+        target_rate: the update of V' in an iteration is V' + target_rate (V - V').
         warm_up: iterations at the beginning that update the value function only, fewer than all.
             Use it if the policy is already trained.
-        slope_limit: limit of the norm of the gradient of a sample with respect to its state and
+        reward_scale: factor of the rewards in J and V. Choose it so that the reward of a good
+            step is about 1: the first steps of the optimiser of V are then small against V.
+        max_grad_norm: limit of the norm of the gradient of J, for the default optimiser. J is in
+            units of the reward of a step: the sum of the rewards times 1 - g.
+        gradient_limit: limit of the norm of the gradient of a sample with respect to its state and
             action, in each step of the horizon, relative to an equal share of the objective; None
-            for none. Use 0.1 or less for legged robots: a few samples with hard impacts have
-            gradients that are many times those of the others.
+            for none. A low limit changes the direction of the gradient: with it a Go1 learned to
+            fall.
         hidden: sizes of the hidden layers of a new policy and a new critic.
         std: noise of a new policy, the standard deviation before tanh; None for no noise.
         optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients
-            clipped to norm 1.
+            clipped to `max_grad_norm`.
         params: parameters of the environment, which `Task.curriculum` changes over the training;
             None for `env.default_params`.
         devices: number of devices, or a list of them, that share the batch; None for one.
@@ -143,12 +149,15 @@ def shac(
             "policy is never updated"
         )
     check_discount(where, "discount", discount)
-    for name, x in (("trace", trace), ("slow", slow)):
+    for name, x in (("td_lambda", td_lambda), ("target_rate", target_rate)):
         real_number(where, name, x, least=0.0, most=1.0)
-    for name, x in (("rate", rate), ("critic_rate", critic_rate)):
+    for name, x in (
+        ("rate", rate), ("critic_rate", critic_rate), ("reward_scale", reward_scale),
+        ("max_grad_norm", max_grad_norm),
+    ):  # fmt: skip
         real_number(where, name, x, above=0.0)
-    if slope_limit is not None:
-        real_number(where, "slope_limit", slope_limit, above=0.0)
+    if gradient_limit is not None:
+        real_number(where, "gradient_limit", gradient_limit, above=0.0)
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
@@ -158,7 +167,7 @@ def shac(
     policy = as_policy(where, env, policy)
     critic = new_critic(env, two, hidden) if critic is None else critic
     if optimiser is None:
-        optimiser = policy_optimiser(rate, iterations)
+        optimiser = policy_optimiser(rate, iterations, max_grad_norm)
     fitter = optax.flatten(optax.adam(falling_rate(critic_rate, iterations * max(1, critic_steps))))
     given, static = eqx.partition((policy, critic), eqx.is_array)
 
@@ -168,32 +177,35 @@ def shac(
     def turn(now: Training, k: jax.Array) -> tuple[Training, dict[str, jax.Array]]:
         key, other = jax.random.split(now.key)
         acting, critic = eqx.combine((now.policy, now.critic), static)
-        behind = eqx.combine(now.slow, static[1])
-        numbers, rest = split_policy(acting)
+        target_critic = eqx.combine(now.target_critic, static[1])
+        weights, rest = split_policy(acting)
 
-        def loss(numbers: Any) -> tuple:
-            acting = eqx.combine(numbers, rest)
+        def loss(weights: Any) -> tuple:
+            acting = eqx.combine(weights, rest)
             samples, path = move_samples(
-                env, acting, now.samples, own_key(other), horizon, params_at(k), slope_limit
+                env, acting, now.samples, own_key(other), horizon, params_at(k), gradient_limit
             )
-            values = jax.vmap(jax.vmap(behind))(path.seen)
-            J = objective(path.rewards, values, path.done, path.ended, discount)
-            return -J.mean(), (samples, path, values)
+            values = jax.vmap(jax.vmap(target_critic))(path.seen)
+            rewards = reward_scale * path.rewards
+            J = objective(rewards, values, path.done, path.ended, discount)
+            return -J.mean(), (samples, path, rewards, values)
 
-        slope, (samples, path, values) = jax.grad(loss, has_aux=True)(numbers)
-        numbers, memory, fine = apply_update(
-            optimiser, mean(slope), now.policy_memory, numbers, k >= warm_up
+        gradient, (samples, path, rewards, values) = jax.grad(loss, has_aux=True)(weights)
+        weights, optimiser_state, fine = apply_update(
+            optimiser, mean(gradient), now.policy_optimiser_state, weights, k >= warm_up
         )
-        targets = value_targets(path.rewards, values, path.done, path.ended, discount, trace)
-        critic, critic_memory = fit_critic(
-            critic, now.critic_memory, fitter, path.obs, targets, critic_steps, mean
+        targets = value_targets(rewards, values, path.done, path.ended, discount, td_lambda)
+        critic, critic_optimiser_state = fit_critic(
+            critic, now.critic_optimiser_state, fitter, path.obs, targets, critic_steps, mean
         )
-        behind = follow(behind, critic, slow)
-        acting = eqx.combine(numbers, rest)
-        learned = [part.include(path.obs, mean, parts) for part in (acting, critic, behind)]
+        target_critic = follow(target_critic, critic, target_rate)
+        acting = eqx.combine(weights, rest)
+        learned = [part.include(path.obs, mean, parts) for part in (acting, critic, target_critic)]
         skipped = now.skipped + (1 - fine.astype(int))
         arrays = eqx.filter(learned, eqx.is_array)
-        after = Training._make((*arrays, memory, critic_memory, key, skipped, samples))
+        after = Training._make(
+            (*arrays, optimiser_state, critic_optimiser_state, key, skipped, samples)
+        )
         return after, {name: parts * mean(x) for name, x in figures_of(path, parts).items()}
 
     def begin(policy: Any, critic: Any, key: jax.Array) -> Training:
@@ -201,11 +213,13 @@ def shac(
         samples = draw_samples(env, own_key(one), batch // parts, params_at(jnp.asarray(0)))
         learned = eqx.combine((policy, critic), static)
         policy, critic = (part.include(samples.obs, mean, parts) for part in learned)
-        memory = optimiser.init(split_policy(policy)[0])
+        optimiser_state = optimiser.init(split_policy(policy)[0])
         arrays = eqx.filter((policy, critic, critic), eqx.is_array)
         skipped = jnp.zeros((), int)
-        critic_memory = fitter.init(weights_of(critic))
-        return Training._make((*arrays, memory, critic_memory, two, skipped, samples))
+        critic_optimiser_state = fitter.init(weights_of(critic))
+        return Training._make(
+            (*arrays, optimiser_state, critic_optimiser_state, two, skipped, samples)
+        )
 
     def report_chunk(done: int, now: Training, figures: dict) -> None:
         policy = eqx.combine(now.policy, static[0])

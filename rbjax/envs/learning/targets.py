@@ -49,17 +49,17 @@ def value_targets(
     done: jax.Array,
     ended: jax.Array,
     discount: float,
-    trace: float,
+    td_lambda: float,
 ) -> jax.Array:
     """Compute the targets G (h, B) of the value function by TD(l).
 
-    trace: l; 0 for one reward and the next value, 1 for all rewards and the last value. The other
-    arguments are those of `objective`.
+    td_lambda: l; 0 for one reward and the next value, 1 for all rewards and the last value. The
+    other arguments are those of `objective`.
     """
 
     def back(G: jax.Array, x: tuple) -> tuple:
         r, V, done, ended = x
-        later = jnp.where(done, jnp.where(ended, 0.0, V), (1 - trace) * V + trace * G)
+        later = jnp.where(done, jnp.where(ended, 0.0, V), (1 - td_lambda) * V + td_lambda * G)
         G = (1 - discount) * r + discount * later
         return G, G
 

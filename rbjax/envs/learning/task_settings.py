@@ -1,7 +1,8 @@
 """Settings of trainings, by task and algorithm.
 
-The settings of PPO for Go1, G1, Panda and cart-pole are those of MuJoCo Playground 0.2 (Zakka et
-al. 2025, `config/locomotion_params.py`, `manipulation_params.py`, `dm_control_suite_params.py`).
+The settings of PPO for Go1, G1, Panda, cart-pole, hopper and walker are those of MuJoCo Playground
+0.2 (Zakka et al. 2025, `config/locomotion_params.py`, `manipulation_params.py`,
+`dm_control_suite_params.py`).
 Those of a CPU and of SHAC are ours.
 """
 
@@ -24,7 +25,7 @@ PPO: dict[str, Any] = {
     "entropy_cost": 1e-2, "reward_scaling": 1.0, "max_grad_norm": 1.0, "reports": 10,
     "policy_hidden": (128, 128, 128), "value_hidden": (256, 256, 256),
 }  # fmt: skip
-CART_POLE = {
+CONTROL_SUITE = {
     "steps": 60_000_000, "num_envs": 2048, "unroll_length": 30, "batch_size": 1024,
     "num_minibatches": 32, "num_updates_per_batch": 16, "discounting": 0.995,
     "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0, "max_grad_norm": None,
@@ -57,7 +58,7 @@ CPU_BATCH = 128  # of SHAC
 
 #: SHAC: arguments of `rbjax.envs.learning.shac`; steps = iterations * batch * horizon
 SHAC: dict[str, Any] = {
-    "steps": 2_000_000, "batch": 256, "horizon": 32, "discount": 0.99, "trace": 0.95,
+    "steps": 2_000_000, "batch": 256, "horizon": 32, "discount": 0.99, "td_lambda": 0.95,
     "rate": 2e-3, "critic_rate": 2e-3, "critic_steps": 16, "hidden": (128, 64), "reports": 20,
 }  # fmt: skip
 CART_POLE_SHAC = {
@@ -65,22 +66,49 @@ CART_POLE_SHAC = {
     "hidden": (32, 16),
 }  # fmt: skip
 
-#: impacts of feet have large gradients
+#: of Go1, with the option `guided`; without `gradient_limit`, with which it learned to fall
+GO1_SHAC = {
+    "steps": 8_000_000, "batch": 256, "horizon": 32, "discount": 0.97, "rate": 1e-3,
+    "critic_rate": 1e-3, "target_rate": 0.5, "std": 0.15, "reward_scale": 30.0,
+    "max_grad_norm": 0.03,
+}  # fmt: skip
+GO1_SHAC_CPU = {"steps": 4_000_000, "batch": 64}
 LEGS_SHAC = {
-    "steps": 20_000_000, "batch": 512, "horizon": 24, "rate": 3e-3, "discount": 0.98, "std": 0.2,
-    "slope_limit": 0.1,
+    "steps": 8_000_000, "batch": 256, "horizon": 32, "discount": 0.98, "rate": 1e-3,
+    "critic_rate": 1e-3, "target_rate": 0.5, "std": 0.3, "max_grad_norm": 0.02,
 }  # fmt: skip
 
 TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
-    "cart_pole_balance": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
-    "cart_pole_swing_up": {"ppo": CART_POLE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
-    "go1_joystick_flat": {"ppo": GO1, "shac": LEGS_SHAC},
-    "go1_joystick_rough": {"ppo": GO1, "shac": LEGS_SHAC},
-    "g1_joystick": {"ppo": G1, "shac": LEGS_SHAC},
+    "cart_pole_balance": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
+    "cart_pole_swing_up": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
+    "go1_joystick_flat": {"ppo": GO1, "shac": GO1_SHAC, "shac cpu": GO1_SHAC_CPU},
+    "go1_joystick_rough": {"ppo": GO1, "shac": GO1_SHAC},
+    "g1_joystick": {"ppo": G1, "shac": GO1_SHAC},
     "panda_pick_cube": {"ppo": PANDA},
-    **{f"hopper_{name}": {"shac": LEGS_SHAC} for name in ("stand", "hop")},
-    **{f"walker_{name}": {"shac": LEGS_SHAC} for name in ("stand", "walk", "run")},
+    **{f"hopper_{name}": {"ppo": CONTROL_SUITE, "shac": LEGS_SHAC} for name in ("stand", "hop")},
+    **{
+        f"walker_{name}": {"ppo": CONTROL_SUITE, "shac": LEGS_SHAC}
+        for name in ("stand", "walk", "run")
+    },
 }
+
+#: options of a task for an algorithm, which `train` uses if they are not given
+OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
+    ("go1_joystick_flat", "shac"): {"guided": True},
+    ("hopper_stand", "shac"): {"guided": True},
+    ("hopper_hop", "shac"): {"guided": True},
+}
+
+
+def task_options(task: str, algorithm: str) -> dict[str, Any]:
+    """Return the options with which `train` makes a task for an algorithm.
+
+    Example:
+        >>> from rbjax.envs.learning.task_settings import task_options
+        >>> task_options("go1_joystick_flat", "shac"), task_options("go1_joystick_flat", "ppo")
+        ({'guided': True}, {})
+    """
+    return dict(OPTIONS.get((task, algorithm), {}))
 
 
 def settings(
@@ -117,5 +145,7 @@ def settings(
         return found
     if algorithm == "ppo":
         return found | dict(own.get("ppo cpu", FEW if "ppo" in own else CPU_PPO))
+    if "shac cpu" in own:
+        return found | dict(own["shac cpu"])
     steps = found["steps"] * CPU_BATCH // found["batch"]  # as many iterations
     return found | {"batch": CPU_BATCH, "steps": steps}

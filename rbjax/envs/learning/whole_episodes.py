@@ -86,32 +86,34 @@ def through_time(
         )
 
     def turn(now: tuple, k: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
-        arrays, memory, key, skipped = now
+        arrays, optimiser_state, key, skipped = now
         present = at_progress(env, params, k / iterations)
         key, other = jax.random.split(key)
         one, two = jax.random.split(own_key(other))
-        numbers, rest = split_policy(eqx.combine(arrays, static))
+        weights, rest = split_policy(eqx.combine(arrays, static))
         draw = jax.vmap(env.reset, (0, None))
         obs, state = draw(jax.random.split(one, batch // parts), present)
         samples = Samples(obs, state, jnp.ones(batch // parts, bool))
 
-        def loss(numbers: Any) -> tuple:
-            acting = eqx.combine(numbers, rest)
+        def loss(weights: Any) -> tuple:
+            acting = eqx.combine(weights, rest)
             _, path = move_samples(env, acting, samples, two, env.episode, present)
             before = jnp.cumsum(path.done, 0) - path.done  # episodes that ended earlier
             rewards = jnp.where(before == 0, path.rewards, 0.0)
             return -rewards.mean(), path._replace(rewards=rewards)
 
-        slope, path = jax.grad(loss, has_aux=True)(numbers)
-        numbers, memory, fine = apply_update(optimiser, mean(slope), memory, numbers)
-        acting = eqx.combine(numbers, rest).include(path.obs, mean, parts)
+        gradient, path = jax.grad(loss, has_aux=True)(weights)
+        weights, optimiser_state, fine = apply_update(
+            optimiser, mean(gradient), optimiser_state, weights
+        )
+        acting = eqx.combine(weights, rest).include(path.obs, mean, parts)
         skipped = skipped + (1 - fine.astype(int))
-        after = (eqx.filter(acting, eqx.is_array), memory, key, skipped)
+        after = (eqx.filter(acting, eqx.is_array), optimiser_state, key, skipped)
         return after, {name: parts * mean(x) for name, x in figures_of(path, parts).items()}
 
     def begin(arrays: Any, key: jax.Array) -> tuple:
-        numbers, _ = split_policy(eqx.combine(arrays, static))
-        return arrays, optimiser.init(numbers), key, jnp.zeros((), int)
+        weights, _ = split_policy(eqx.combine(arrays, static))
+        return arrays, optimiser.init(weights), key, jnp.zeros((), int)
 
     def report_chunk(done: int, now: tuple, figures: dict) -> None:
         policy = eqx.combine(now[0], static)

@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax.envs import Observation, Reward
 from rbjax.envs.learning import network, new_critic, new_policy, shac, through_time
-from rbjax.envs.learning.samples import Samples, draw_samples, limit_slope, move_samples
+from rbjax.envs.learning.samples import Samples, draw_samples, limit_gradient, move_samples
 from rbjax.envs.learning.targets import objective
 from rbjax.errors import InputError
 from tests.envs.learning.pole import KEY, environment, observe, start
@@ -72,7 +72,7 @@ def test_a_batch_is_a_loop_over_its_samples():
 
 def test_the_slope_of_a_sample_that_is_not_finite_is_zero():
     def f(x):
-        x = limit_slope({"a": x, "n": jnp.zeros(2, int)}, None)["a"]
+        x = limit_gradient({"a": x, "n": jnp.zeros(2, int)}, None)["a"]
         return (x * jnp.array([[2.0], [jnp.inf]])).sum()
 
     slope = jax.grad(f)(jnp.ones((2, 1)))
@@ -83,7 +83,7 @@ def test_the_slope_of_a_sample_is_limited():
     """To 1 / 2 in a batch of two, over all arrays of the sample; a smaller one stays."""
 
     def f(a, b):
-        a, b = limit_slope((a, b), 1.0)
+        a, b = limit_gradient((a, b), 1.0)
         return (a @ jnp.array([[3.0, 0.1], [4.0, 0.2]])).trace() + b @ jnp.array([12.0, 0.3])
 
     a, b = jax.grad(f, (0, 1))(jnp.ones((2, 2)), jnp.ones(2))
