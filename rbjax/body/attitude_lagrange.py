@@ -143,18 +143,26 @@ def hamel_acceleration(
     """Compute the rates nu' (m,) of quasi-velocities by Hamel's equations.
 
     Args:
-        kinetic: the kinetic energy T(q, nu).
-        velocities: the function (q, q') -> nu = A(q) q'.
-        rates: the function (q, nu) -> q' = B(q) nu.
-        N: (m,) forces B^T Q, whose power is N . nu.
+        kinetic: function (q (n,), nu (m,)) -> kinetic energy (), J.
+        velocities: function (q, q') -> nu = A(q) q'.
+        rates: function (q, nu) -> q' = B(q) nu.
+        q: (n,), coordinates in their units.
+        nu: (m,), quasi-velocities.
+        N: (m,), forces B^T Q, whose power is N . nu, W.
 
-    >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
-    ...     lambda q, nu: nu @ nu / 2,
-    ...     lambda q, qd: jnp.stack([qd[0], q[0] * qd[1]]),
-    ...     lambda q, nu: jnp.stack([nu[0], nu[1] / q[0]]),
-    ...     jnp.array([2.0, 0.0]), jnp.array([1.0, 4.0]), jnp.zeros(2))
-    >>> polar.tolist()
-    [8.0, -2.0]
+    Returns:
+        nu' (m,), in the unit of nu per second.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.body import hamel_acceleration
+        >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
+        ...     lambda q, nu: nu @ nu / 2,
+        ...     lambda q, qd: jnp.stack([qd[0], q[0] * qd[1]]),
+        ...     lambda q, nu: jnp.stack([nu[0], nu[1] / q[0]]),
+        ...     jnp.array([2.0, 0.0]), jnp.array([1.0, 4.0]), jnp.zeros(2))
+        >>> polar.tolist()
+        [8.0, -2.0]
     """
     qd = rates(q, nu)
     p = jax.grad(kinetic, 1)(q, nu)

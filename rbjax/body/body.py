@@ -75,11 +75,26 @@ def rigid_body(
 ) -> Situation:
     """Check mass properties, and return a body with these properties and the forces on it.
 
+    Args:
+        properties: `rbjax.spatial.MassProperties`, SI units, or a `Body`.
+        forces: functions (t, body, T (4, 4), V (6,)) -> wrench (6,), N m, then N.
+        added_mass: (6, 6), kg m^2, kg m and kg; None for none.
+
+    Returns:
+        `Situation`: the body and the forces.
+
     Raises:
         InputError: no body can have this inertia; a force that cannot be called.
 
     >>> rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body.inertia.diagonal().tolist()
     [2.0, 2.0, 2.0]
+
+    Example:
+        >>> from rbjax.body import rigid_body
+        >>> from rbjax import spatial
+        >>> ball = rigid_body(spatial.shapes.sphere(1.0, mass=5.0))
+        >>> ball.body.inertia.diagonal().tolist()
+        [2.0, 2.0, 2.0]
     """
     if not (isinstance(properties, tuple) and len(properties) >= 3):
         raise InputError(
@@ -100,7 +115,24 @@ def rigid_body(
 
 
 def inertia_matrix(body: Body) -> jax.Array:
-    """Compute the inertia matrix M (6, 6) at the frame's origin, including added mass."""
+    """Compute the inertia matrix M (6, 6) at the frame's origin, including added mass.
+
+    Args:
+        body: a `Body`.
+
+    Returns:
+        (6, 6), kg m^2, kg m and kg.
+
+    Raises:
+        InputError: not a `Body`.
+
+    Example:
+        >>> from rbjax.body import inertia_matrix, rigid_body
+        >>> from rbjax import spatial
+        >>> ball = rigid_body(spatial.shapes.sphere(1.0, mass=5.0))
+        >>> inertia_matrix(ball.body).diagonal().tolist()
+        [2.0, 2.0, 2.0, 5.0, 5.0, 5.0]
+    """
     if not isinstance(body, Body):
         raise InputError(
             f"inertia_matrix: body is {type(body).__name__}, expected Body; rigid_body(...).body "
@@ -111,7 +143,26 @@ def inertia_matrix(body: Body) -> jax.Array:
 
 
 def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
-    """Sum all forces to a wrench (6,) at the frame's origin in body axes."""
+    """Sum all forces to a wrench (6,) at the frame's origin in body axes.
+
+    Args:
+        situation: a body and its forces, as from `rigid_body`.
+        t: time, s.
+        T: (4, 4), pose of the body, with lengths in m.
+        V: (6,), body twist, rad/s, then m/s.
+
+    Returns:
+        (6,), N m, then N.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.body import rigid_body, total_wrench
+        >>> from rbjax import spatial
+        >>> from rbjax.body import UniformGravity
+        >>> ball = rigid_body(spatial.shapes.sphere(1.0, mass=5.0), [UniformGravity()])
+        >>> total_wrench(ball, 0.0, jnp.eye(4), jnp.zeros(6)).round(3).tolist()
+        [0.0, 0.0, 0.0, 0.0, 0.0, -49.050000000000004]
+    """
     body, forces = _parts("total_wrench", situation)
     T, V = unbatched("total_wrench", "T", T, "pose"), unbatched("total_wrench", "V", V, "twist")
     return sum((f(t, body, T, V).astype(V.dtype) for f in forces), start=jnp.zeros_like(V))
@@ -136,7 +187,24 @@ def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
 
 
 def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
-    """Compute the potential energy of all forces that have a potential."""
+    """Compute the potential energy of all forces that have a potential.
+
+    Args:
+        situation: a body and its forces, as from `rigid_body`.
+        T: (4, 4), pose of the body, with lengths in m.
+
+    Returns:
+        (), J.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.body import potential_energy, rigid_body
+        >>> from rbjax import spatial
+        >>> from rbjax.body import UniformGravity
+        >>> ball = rigid_body(spatial.shapes.sphere(1.0, mass=5.0), [UniformGravity()])
+        >>> round(float(potential_energy(ball, jnp.eye(4).at[2, 3].set(2.0))), 3)
+        98.1
+    """
     body, forces = _parts("potential_energy", situation)
     T = unbatched("potential_energy", "T", T, "pose")
     conservative, _ = split(Situation(body, forces))
@@ -147,9 +215,20 @@ def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
 def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
     """Compute the kinetic energy V . M V / 2, including added mass.
 
-    >>> body = rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body
-    >>> float(kinetic_energy(body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
-    6.5
+    Args:
+        body: a `Body`.
+        V: (6,), body twist, rad/s, then m/s.
+
+    Returns:
+        (), J.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.body import kinetic_energy, rigid_body
+        >>> from rbjax import spatial
+        >>> ball = rigid_body(spatial.shapes.sphere(1.0, mass=5.0))
+        >>> float(kinetic_energy(ball.body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
+        6.5
     """
     return spatial.kinetic_energy(
         inertia_matrix(body), unbatched("kinetic_energy", "V", V, "twist")
@@ -168,8 +247,21 @@ def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
     The translational added mass along axis i is m alpha_i / (2 - alpha_i), with m the mass of the
     displaced fluid: m / 2 for a ball. Digits are lost if the axes differ by a factor of tens.
 
-    >>> ellipsoid_added_mass([1.0, 1.0, 1.0], 3 / (2 * jnp.pi)).diagonal().round(5).tolist()
-    [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    Args:
+        semi_axes: (..., 3), m.
+        density: (...), of the fluid, kg/m^3.
+
+    Returns:
+        (..., 6, 6), kg m^2, then kg.
+
+    Raises:
+        InputError: another shape, or a semi-axis or density that is not above zero.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.body import ellipsoid_added_mass
+        >>> ellipsoid_added_mass([1.0, 1.0, 1.0], 3 / (2 * jnp.pi)).diagonal().round(5).tolist()
+        [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
     """
     a2, product = semi_axes * semi_axes, jnp.prod(semi_axes, axis=-1)
     # substitute l = s^2 tan^2 u with the mean radius s: the integrand is smooth in u in (0, pi/2)

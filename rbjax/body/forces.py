@@ -53,7 +53,11 @@ def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
 
 @displayed
 class UniformGravity(Force):
-    """Gravity with a uniform acceleration (3,) in world axes, m/s^2."""
+    """Gravity with a uniform acceleration.
+
+    Fields:
+        acceleration: (3,), in world axes, m/s^2.
+    """
 
     acceleration: jax.Array = field("vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81]))
 
@@ -70,6 +74,10 @@ class CentralGravity(Force):
 
     V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3)  (MacCullagh), with n the direction from the
     center to the com. The torque about the com is 3 mu n x I_c n / r^3.
+
+    Fields:
+        mu: (), G M, m^3/s^2.
+        centre: (3,), the point mass in the world, m.
     """
 
     mu: jax.Array = field("scalar")
@@ -95,7 +103,14 @@ class CentralGravity(Force):
 
 @displayed
 class Buoyancy(Force):
-    """Buoyancy of a fully immersed `volume` with its center at `centre` (3,) in the body."""
+    """Buoyancy of a fully immersed volume.
+
+    Fields:
+        density: (), of the fluid, kg/m^3.
+        volume: (), m^3.
+        centre: (3,), centre of the volume in the body, m.
+        gravity: (3,), in the world, m/s^2.
+    """
 
     density: jax.Array = field("scalar")
     volume: jax.Array = field("scalar")
@@ -111,9 +126,11 @@ class Buoyancy(Force):
 
 @displayed
 class LinearDrag(Force):
-    """Linear drag -D (V - V_fluid), with D (6, 6) at the frame's origin in body axes.
+    """Linear drag -D (V - V_fluid) at the frame's origin in body axes.
 
-    `stream` (3,) is the velocity of the fluid in world axes, m/s.
+    Fields:
+        coefficients: D (6, 6), N m s, N s and N s/m.
+        stream: (3,), velocity of the fluid in the world, m/s.
     """
 
     coefficients: jax.Array = field("matrix6")
@@ -127,7 +144,9 @@ class LinearDrag(Force):
 class QuadraticDrag(Force):
     """Quadratic drag -d_i |V_i| V_i for each component of the twist relative to the fluid.
 
-    d (6,) is rho C_D A / 2 for a face of area A. `stream` (3,) is the fluid velocity in the world.
+    Fields:
+        coefficients: d (6,), rho C_D A / 2 for a face of area A; kg m^2, then kg/m.
+        stream: (3,), velocity of the fluid in the world, m/s.
     """
 
     coefficients: jax.Array = field("twist")
@@ -140,7 +159,14 @@ class QuadraticDrag(Force):
 
 @displayed
 class Spring(Force):
-    """A spring between a world point (`anchor`) and a body point, with the force k (l - l_0)."""
+    """A spring between a point of the world and a point of the body: force k (l - l_0).
+
+    Fields:
+        stiffness: k, (), N/m.
+        anchor: (3,), in the world, m.
+        point: (3,), in the body, m.
+        rest_length: l_0, (), m.
+    """
 
     stiffness: jax.Array = field("scalar")
     anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
@@ -161,7 +187,13 @@ class Spring(Force):
 
 @displayed
 class Damper(Force):
-    """A damper between a world point (`anchor`) and a body point, with the force -c dl/dt."""
+    """A damper between a point of the world and a point of the body: force -c dl/dt.
+
+    Fields:
+        damping: c, (), N s/m.
+        anchor: (3,), in the world, m.
+        point: (3,), in the body, m.
+    """
 
     damping: jax.Array = field("scalar")
     anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))

@@ -19,8 +19,13 @@ from rbjax.rotations import representations
 def formulations() -> MappingProxyType[str, Formulation]:
     """Return all formulations by name, in a fixed order.
 
-    >>> list(formulations())[:3], len(formulations()) >= 36
-    (['newton_euler', 'newton_euler_origin', 'kirchhoff'], True)
+    Returns:
+        Name -> `Formulation`.
+
+    Example:
+        >>> from rbjax.body import formulations
+        >>> list(formulations())[:3], len(formulations()) >= 36
+        (['newton_euler', 'newton_euler_origin', 'kirchhoff'], True)
     """
     entries: dict[str, Formulation] = {
         "newton_euler": NewtonEuler(),
@@ -38,6 +43,21 @@ def formulations() -> MappingProxyType[str, Formulation]:
 
 
 def formulation(name: str) -> Formulation:
-    """Return a formulation by its name."""
+    """Return a formulation by its name.
+
+    Args:
+        name: one of `formulations()`.
+
+    Returns:
+        The `Formulation`.
+
+    Raises:
+        UnknownName: no such formulation.
+
+    Example:
+        >>> from rbjax.body import formulation
+        >>> type(formulation('kirchhoff')).__name__
+        'Kirchhoff'
+    """
     known = formulations()
     return known[choice("formulation", name, known)]

@@ -310,12 +310,17 @@ def applied_forces(
 
 @algorithm("q")
 def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
-    """Compute the potential energy of the force elements at rest, in J: sum of k |q - q_rest|^2 / 2
-    over the joint springs, and the energies of the other elements.
+    """Compute the potential energy of the force elements at rest, in J.
+
+    It is the sum of k |q - q_rest|^2 / 2 over the joint springs, and of the energies of the other
+    elements.
 
     Args:
         model: the robot.
         q: (nq,) configuration.
+
+    Returns:
+        (), J.
 
     Example:
         >>> import rbjax as rb

@@ -28,6 +28,9 @@ _SCENES = Path(__file__).parent / "scenes"
 def scenes() -> tuple[str, ...]:
     """List the names of the bundled scenes, for `load`.
 
+    Returns:
+        The names, for `rb.load`.
+
     Example:
         >>> import rbjax as rb
         >>> "cart_pole" in rb.scenes()

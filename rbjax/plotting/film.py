@@ -109,6 +109,24 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
     """Compute rotations (T, n, 3, 3) and positions (T, n, 3) of the bodies along q (T, nq).
 
     The stations of flexible links follow the bodies (`rbjax.plotting.flexible_links`).
+
+    Args:
+        model: the robot.
+        q: (T, nq), m and rad; or states, such as a `Trajectory`.
+
+    Returns:
+        Rotations (T, n, 3, 3) and positions (T, n, 3), m, in the world.
+
+    Raises:
+        InputError: q has another shape, or is not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> import rbjax as rb
+        >>> from rbjax.plotting import poses
+        >>> R, p = poses(rb.load('pendulum'), np.zeros((3, 1)))
+        >>> R.shape, p.shape
+        ((3, 1, 3, 3), (3, 1, 3))
     """
     q = configurations("poses", model, q)
     R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))

@@ -32,6 +32,9 @@ def skeleton(model: Model) -> list[Solid]:
         each slide, ellipsoids of inertia, red, green and blue axes on floating bodies, and tubes
         along flexible links.
 
+    Raises:
+        InputError: not a model, or a batch of models.
+
     Example:
         >>> import rbjax as rb
         >>> from rbjax.plotting import skeleton

@@ -145,25 +145,81 @@ def inverse_left_lanes(phi: list) -> list:
 def left_jacobian(phi: jax.Array) -> jax.Array:
     """Compute the left Jacobian J_l (..., 3, 3) of SO(3): omega_space = J_l phi'.
 
-    >>> left_jacobian([0.0, 0.0, 0.0]).tolist()
-    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import left_jacobian
+        >>> left_jacobian([0.0, 0.0, 1.0])[0].round(4).tolist()
+        [0.8415, -0.4597, 0.0]
     """
     return stacked(left_lanes(entries(phi)), 3, 3)
 
 
 @takes(phi="vector")
 def right_jacobian(phi: jax.Array) -> jax.Array:
-    """Compute the right Jacobian J_r (..., 3, 3) of SO(3): omega_body = J_r phi'."""
+    """Compute the right Jacobian J_r (..., 3, 3) of SO(3): omega_body = J_r phi'.
+
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import right_jacobian
+        >>> right_jacobian([0.0, 0.0, 1.0])[0].round(4).tolist()
+        [0.8415, 0.4597, 0.0]
+    """
     return stacked(left_lanes([-p for p in entries(phi)]), 3, 3)
 
 
 @takes(phi="vector")
 def inverse_left_jacobian(phi: jax.Array) -> jax.Array:
-    """Compute J_l^-1 (..., 3, 3) of SO(3), with phi' = J_l^-1 omega_space, for |phi| < 2 pi."""
+    """Compute J_l^-1 (..., 3, 3) of SO(3), with phi' = J_l^-1 omega_space, for |phi| < 2 pi.
+
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import inverse_left_jacobian
+        >>> inverse_left_jacobian([0.0, 0.0, 1.0])[0].round(4).tolist()
+        [0.9152, 0.5, 0.0]
+    """
     return stacked(inverse_left_lanes(entries(phi)), 3, 3)
 
 
 @takes(phi="vector")
 def inverse_right_jacobian(phi: jax.Array) -> jax.Array:
-    """Compute J_r^-1 (..., 3, 3) of SO(3), with phi' = J_r^-1 omega_body, for |phi| < 2 pi."""
+    """Compute J_r^-1 (..., 3, 3) of SO(3), with phi' = J_r^-1 omega_body, for |phi| < 2 pi.
+
+    Args:
+        phi: (..., 3), rotation vectors, rad.
+
+    Returns:
+        (..., 3, 3), no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
+    Example:
+        >>> from rbjax.rotations.so3 import inverse_right_jacobian
+        >>> inverse_right_jacobian([0.0, 0.0, 1.0])[0].round(4).tolist()
+        [0.9152, -0.5, 0.0]
+    """
     return stacked(inverse_left_lanes([-p for p in entries(phi)]), 3, 3)

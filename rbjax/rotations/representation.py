@@ -144,11 +144,17 @@ def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> j
 def representations() -> MappingProxyType[str, Representation]:
     """Return all representations by name, in a stable order, with the 24 Euler sequences last.
 
-    >>> reps = representations()
-    >>> len(reps) >= 30, list(reps)[:3]
-    (True, ['rotation_matrix', 'unit_quaternion', 'unit_quaternion_xyzw'])
-    >>> reps["roll_pitch_yaw"].to_matrix([0.0, 0.0, jnp.pi / 2]).round(6)[0].tolist()
-    [0.0, -1.0, 0.0]
+    Returns:
+        Name -> `Representation`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.rotations import representations
+        >>> reps = representations()
+        >>> len(reps) >= 30, list(reps)[:3]
+        (True, ['rotation_matrix', 'unit_quaternion', 'unit_quaternion_xyzw'])
+        >>> reps['roll_pitch_yaw'].to_matrix([0.0, 0.0, jnp.pi / 2]).round(6)[0].tolist()
+        [0.0, -1.0, 0.0]
     """
     formulas: dict[str, Formulas] = {
         "rotation_matrix": redundant.RotationMatrix(),

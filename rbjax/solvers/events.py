@@ -48,13 +48,13 @@ class Arrival(NamedTuple):
     """Result of `integrate_until`.
 
     Fields:
-        t: time of the event in s, or t1 if there was none.
+        t: (), time of the event in s, or t1 if there was none.
         y: the solution at t.
-        reached: whether the event occurred.
-        success: whether the solves succeeded and all values are finite.
-        ys: the solution at the times `ts`, held at its first and last value outside of [t0, t];
-            None without `ts`.
-        located: the time t as a constant under differentiation.
+        reached: (), whether the event occurred.
+        success: (), whether the solves succeeded and all values are finite.
+        ys: (T, ...), the solution at the times `ts`, held at its first and last value outside of
+            [t0, t]; None without `ts`.
+        located: (), the time t as a constant under differentiation.
     """
 
     t: jax.Array
@@ -169,6 +169,16 @@ def carry_back(vector_field: VectorField, t: Any, y: Any, args: Any, located: An
         y: the state after the reset.
         args: parameters of the vector field.
         located: `Arrival.located`.
+
+    Returns:
+        The state, as y.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.solvers import carry_back
+        >>> y = carry_back(lambda t, y, args: -y, jnp.array(1.0), jnp.array(2.0), None, 1.0)
+        >>> round(float(y), 6)
+        2.0
     """
     return _runge_kutta_step(vector_field, t, y, args, located - t)
 

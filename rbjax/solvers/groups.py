@@ -91,7 +91,11 @@ class SE3(AbstractGroup):
 
 
 class Product(AbstractGroup):
-    """Direct product of groups: a tuple of states, each in its own group."""
+    """Direct product of groups: a tuple of states, each in its own group.
+
+    Fields:
+        parts: the groups, one for each state.
+    """
 
     parts: tuple[AbstractGroup, ...]
 

@@ -77,8 +77,19 @@ def rkmk(order: int) -> MuntheKaas:
 
     The tableaus are Heun's (2), Bogacki-Shampine (3), the classical one (4) and Dormand-Prince (5).
 
+    Args:
+        order: 2 to 5.
+
+    Returns:
+        A `MuntheKaas`.
+
     Raises:
         InputError: another order.
+
+    Example:
+        >>> from rbjax.solvers import rkmk
+        >>> rkmk(4).order(None)
+        4
     """
     integer("rkmk", "order", order, least=2, most=5)
     table = {
@@ -148,6 +159,12 @@ class RigidBody(OnGroup):
 
     Raises:
         InputError: the inertia has another shape, or is not positive.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.solvers import RigidBody
+        >>> RigidBody(jnp.array([1.0, 2.0, 3.0])).inertia.tolist()
+        [1.0, 2.0, 3.0]
     """
 
     inertia: jax.Array  # type: ignore[misc]

@@ -309,20 +309,82 @@ class BDF(AbstractMultistep):
 
 
 def adams_bashforth(order: int) -> Adams:
-    """Return the explicit Adams method of order 1 to 5, with one evaluation per step."""
+    """Return the explicit Adams method of order 1 to 5, with one evaluation per step.
+
+    Args:
+        order: 1 to 5.
+
+    Returns:
+        An `Adams`.
+
+    Raises:
+        InputError: another order.
+
+    Example:
+        >>> from rbjax.solvers import adams_bashforth
+        >>> adams_bashforth(3).order(None)
+        3
+    """
     return Adams(order)
 
 
 def adams_moulton(order: int, **options) -> Adams:
-    """Return the implicit Adams method of order 2 (the trapezoidal rule) to 5."""
+    """Return the implicit Adams method of order 2 (the trapezoidal rule) to 5.
+
+    Args:
+        order: 2 to 5.
+        options: fields of `Adams`.
+
+    Returns:
+        An `Adams`.
+
+    Raises:
+        InputError: another order.
+
+    Example:
+        >>> from rbjax.solvers import adams_moulton
+        >>> adams_moulton(3).order(None)
+        3
+    """
     return Adams(order, "root", **options)
 
 
 def pece(order: int) -> Adams:
-    """Return the PECE method of order 2 to 5: Adams-Bashforth predicts, Adams-Moulton corrects."""
+    """Return the PECE method of order 2 to 5: Adams-Bashforth predicts, Adams-Moulton corrects.
+
+    Args:
+        order: 2 to 5.
+
+    Returns:
+        An `Adams`.
+
+    Raises:
+        InputError: another order.
+
+    Example:
+        >>> from rbjax.solvers import pece
+        >>> pece(3).order(None)
+        3
+    """
     return Adams(order, "once")
 
 
 def bdf(order: int, **options) -> BDF:
-    """Return the BDF of order 1 (backward Euler) to 6."""
+    """Return the BDF of order 1 (backward Euler) to 6.
+
+    Args:
+        order: 1 to 6.
+        options: fields of `BDF`.
+
+    Returns:
+        A `BDF`.
+
+    Raises:
+        InputError: another order.
+
+    Example:
+        >>> from rbjax.solvers import bdf
+        >>> bdf(2).order(None)
+        2
+    """
     return BDF(order, **options)

@@ -90,8 +90,19 @@ class RootFinder(optx.AbstractRootFinder):
 
 
 def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
-    """Return a full Newton iteration, with a new Jacobian in each step. `lineax.GMRES` needs no
-    matrix."""
+    """Return a full Newton iteration, with a new Jacobian in each step.
+
+    Args:
+        linear_solver: of lineax; None for `AutoLinearSolver`. GMRES needs no matrix.
+
+    Returns:
+        A `RootFinder`.
+
+    Example:
+        >>> from rbjax.solvers import newton
+        >>> type(newton().inner).__name__
+        'Newton'
+    """
     return RootFinder(
         inner=_make(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None))
     )
@@ -100,8 +111,19 @@ def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
 def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
     """Return a simplified Newton iteration, with one Jacobian per step at the initial guess.
 
+    Args:
+        linear_solver: of lineax; None for the inverse.
+
+    Returns:
+        A `RootFinder`.
+
     Raises:
         InputError: the linear solver uses only matrix-vector products, so it cannot reuse a matrix.
+
+    Example:
+        >>> from rbjax.solvers import chord
+        >>> type(chord().inner).__name__
+        'Chord'
     """
     if linear_solver is not None and iterative(linear_solver):
         name = type(linear_solver).__name__
@@ -113,7 +135,16 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
 
 
 def very_chord() -> RootFinder:
-    """Return diffrax's iteration for diagonally implicit methods: one Jacobian for all stages."""
+    """Return diffrax's iteration for diagonally implicit methods: one Jacobian for all stages.
+
+    Returns:
+        A `RootFinder`.
+
+    Example:
+        >>> from rbjax.solvers import very_chord
+        >>> type(very_chord().inner).__name__
+        'VeryChord'
+    """
     return RootFinder(inner=diffrax.VeryChord(1.0, 1.0))
 
 

@@ -176,10 +176,34 @@ def _ros34pw2() -> RosenbrockTableau:
 
 
 def ros2(**options) -> RosenbrockW:
-    """Return Verwer's Rosenbrock-W method of two stages: order 2, L-stable."""
+    """Return Verwer's Rosenbrock-W method of two stages: order 2, L-stable.
+
+    Args:
+        options: fields of `RosenbrockW`.
+
+    Returns:
+        A `RosenbrockW`.
+
+    Example:
+        >>> from rbjax.solvers import ros2
+        >>> ros2().order(None)
+        2
+    """
     return RosenbrockW(_ros2(), **options)
 
 
 def ros34pw2(**options) -> RosenbrockW:
-    """Return Rang and Angermann's Rosenbrock-W method of four stages: order 3, L-stable."""
+    """Return Rang and Angermann's Rosenbrock-W method of four stages: order 3, L-stable.
+
+    Args:
+        options: fields of `RosenbrockW`.
+
+    Returns:
+        A `RosenbrockW`.
+
+    Example:
+        >>> from rbjax.solvers import ros34pw2
+        >>> ros34pw2().order(None)
+        3
+    """
     return RosenbrockW(_ros34pw2(), **options)

@@ -209,36 +209,124 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
 
 def implicit_midpoint(**options) -> ImplicitRungeKutta:
     """Return the implicit midpoint rule y1 = y0 + h f((y0 + y1) / 2). It has order 2 and is
-    A-stable, symplectic and symmetric."""
+    A-stable, symplectic and symmetric.
+
+    Args:
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Example:
+        >>> from rbjax.solvers import implicit_midpoint
+        >>> type(implicit_midpoint()).__name__
+        'ImplicitRungeKutta'
+    """
     return ImplicitRungeKutta(tables.gauss(1), **options)
 
 
 def trapezoid(**options) -> ImplicitRungeKutta:
-    """Return the trapezoidal rule (Crank-Nicolson): order 2, A-stable, symmetric."""
+    """Return the trapezoidal rule (Crank-Nicolson): order 2, A-stable, symmetric.
+
+    Args:
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Example:
+        >>> from rbjax.solvers import trapezoid
+        >>> type(trapezoid()).__name__
+        'ImplicitRungeKutta'
+    """
     return ImplicitRungeKutta(tables.lobatto_iiia(2), **options)
 
 
 def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
-    """Return the Gauss-Legendre method of s stages: order 2 s, A-stable, symplectic."""
+    """Return the Gauss-Legendre method of s stages: order 2 s, A-stable, symplectic.
+
+    Args:
+        stages: number of stages.
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Raises:
+        InputError: a number of stages that is not available.
+
+    Example:
+        >>> from rbjax.solvers import gauss_legendre
+        >>> gauss_legendre(3).order(None)
+        6
+    """
     integer("gauss_legendre", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.gauss(stages), **options)
 
 
 def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Return the Radau IIA method of s stages: order 2 s - 1, L-stable. One stage is backward
-    Euler."""
+    Euler.
+
+    Args:
+        stages: number of stages.
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Raises:
+        InputError: a number of stages that is not available.
+
+    Example:
+        >>> from rbjax.solvers import radau_iia
+        >>> radau_iia(3).order(None)
+        5
+    """
     integer("radau_iia", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
 
 
 def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
-    """Return the Lobatto IIIA method of s stages: order 2 s - 2, A-stable, symmetric."""
+    """Return the Lobatto IIIA method of s stages: order 2 s - 2, A-stable, symmetric.
+
+    Args:
+        stages: number of stages.
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Raises:
+        InputError: a number of stages that is not available.
+
+    Example:
+        >>> from rbjax.solvers import lobatto_iiia
+        >>> lobatto_iiia(3).order(None)
+        4
+    """
     integer("lobatto_iiia", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
 
 
 def lobatto_iiic(stages: int = 3, **options) -> ImplicitRungeKutta:
-    """Return the Lobatto IIIC method of s stages: order 2 s - 2, L-stable."""
+    """Return the Lobatto IIIC method of s stages: order 2 s - 2, L-stable.
+
+    Args:
+        stages: number of stages.
+        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+
+    Returns:
+        An `ImplicitRungeKutta`.
+
+    Raises:
+        InputError: a number of stages that is not available.
+
+    Example:
+        >>> from rbjax.solvers import lobatto_iiic
+        >>> lobatto_iiic(3).order(None)
+        4
+    """
     integer("lobatto_iiic", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiic(stages), **options)
 

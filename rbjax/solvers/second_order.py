@@ -175,24 +175,73 @@ def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Return Chung and Hulbert's generalized-alpha method of order 2. `rho_inf`, from 0 to 1, is
-    the spectral radius at infinite frequency."""
+    """Return Chung and Hulbert's generalized-alpha method of order 2.
+
+    Args:
+        rho_inf: spectral radius at infinite frequency, from 0 to 1.
+        options: fields of `GeneralizedAlpha`.
+
+    Returns:
+        A `GeneralizedAlpha`.
+
+    Raises:
+        InputError: rho_inf out of its range.
+
+    Example:
+        >>> from rbjax.solvers import generalized_alpha
+        >>> type(generalized_alpha(0.5)).__name__
+        'GeneralizedAlpha'
+    """
     real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
 
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
-    """Return Newmark's method. The order is 2 if gamma is 1/2. A larger gamma damps. With beta 1/4
-    it is the average acceleration method, which is A-stable."""
+    """Return Newmark's method.
+
+    The order is 2 if gamma is 1/2. A larger gamma damps. With beta 1/4 it is the average
+    acceleration method, which is A-stable.
+
+    Args:
+        beta: weight of the new acceleration in the position, not negative.
+        gamma: weight of the new acceleration in the velocity, at least 1/2.
+        options: fields of `GeneralizedAlpha`.
+
+    Returns:
+        A `GeneralizedAlpha`.
+
+    Raises:
+        InputError: beta or gamma out of its range.
+
+    Example:
+        >>> from rbjax.solvers import newmark
+        >>> type(newmark()).__name__
+        'GeneralizedAlpha'
+    """
     real_number("newmark", "beta", beta, least=0, traced=True)
     real_number("newmark", "gamma", gamma, least=0.5, traced=True)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
-    """Return the method of Hilber, Hughes and Taylor: order 2, A-stable. `alpha` goes from -1/3,
-    with the most damping, to 0."""
+    """Return the method of Hilber, Hughes and Taylor: order 2, A-stable.
+
+    Args:
+        alpha: from -1/3, with the most damping, to 0.
+        options: fields of `GeneralizedAlpha`.
+
+    Returns:
+        A `GeneralizedAlpha`.
+
+    Raises:
+        InputError: alpha out of its range.
+
+    Example:
+        >>> from rbjax.solvers import hht_alpha
+        >>> type(hht_alpha(-0.05)).__name__
+        'GeneralizedAlpha'
+    """
     real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 

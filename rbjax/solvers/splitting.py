@@ -115,20 +115,68 @@ def _verlets(w: tuple[float, ...], order: int, velocity_forces: bool) -> Splitti
 
 
 def symplectic_euler(velocity_forces: bool = True) -> Splitting:
-    """Return symplectic Euler: v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1, order 1."""
+    """Return symplectic Euler: v1 = v0 + h a(t0, q0, v0), q1 = q0 + h v1, order 1.
+
+    Args:
+        velocity_forces: whether forces depend on the velocity; false saves work if they do not.
+
+    Returns:
+        A `Splitting`.
+
+    Example:
+        >>> from rbjax.solvers import symplectic_euler
+        >>> symplectic_euler().order(None)
+        1
+    """
     return Splitting((1.0,), (1.0,), 1, velocity_forces)
 
 
 def stoermer_verlet(velocity_forces: bool = True) -> Splitting:
-    """Return the Stoermer-Verlet method: half a kick, a drift, half a kick; order 2, symmetric."""
+    """Return the Stoermer-Verlet method: half a kick, a drift, half a kick; order 2, symmetric.
+
+    Args:
+        velocity_forces: whether forces depend on the velocity; false saves work if they do not.
+
+    Returns:
+        A `Splitting`.
+
+    Example:
+        >>> from rbjax.solvers import stoermer_verlet
+        >>> stoermer_verlet().order(None)
+        2
+    """
     return _verlets((1.0,), 2, velocity_forces)
 
 
 def yoshida4(velocity_forces: bool = True) -> Splitting:
-    """Return Yoshida's method of three Verlet steps, the middle one backwards: order 4."""
+    """Return Yoshida's method of three Verlet steps, the middle one backwards: order 4.
+
+    Args:
+        velocity_forces: whether forces depend on the velocity; false saves work if they do not.
+
+    Returns:
+        A `Splitting`.
+
+    Example:
+        >>> from rbjax.solvers import yoshida4
+        >>> yoshida4().order(None)
+        4
+    """
     return _verlets(YOSHIDA4, 4, velocity_forces)
 
 
 def yoshida6(velocity_forces: bool = True) -> Splitting:
-    """Return Yoshida's method of seven Verlet steps (solution A): order 6."""
+    """Return Yoshida's method of seven Verlet steps (solution A): order 6.
+
+    Args:
+        velocity_forces: whether forces depend on the velocity; false saves work if they do not.
+
+    Returns:
+        A `Splitting`.
+
+    Example:
+        >>> from rbjax.solvers import yoshida6
+        >>> yoshida6().order(None)
+        6
+    """
     return _verlets(YOSHIDA6, 6, velocity_forces)

@@ -45,7 +45,8 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
         A'PA - P + Q - K'(R + B'PB) K = 0,            K = (R + B'PB)^-1 (A'PB + S)'
 
     Args:
-        A: (n, n). B: (n, m).
+        A: (n, n).
+        B: (n, m).
         Q: (n, n), symmetric; or the weights (n,).
         R: (m, m), symmetric and positive definite; or the weights (m,). If discrete, R + B'PB must
             be positive definite instead.
@@ -146,8 +147,10 @@ def lqr_finite(
     """Compute the discrete linear quadratic regulator of N steps: u_k = -K_k x_k.
 
     Args:
-        A: (n, n). B: (n, m).
-        Q: (n, n) or (n,). R: (m, m) or (m,).
+        A: (n, n).
+        B: (n, m).
+        Q: (n, n) or (n,).
+        R: (m, m) or (m,).
         horizon: N.
         terminal: Q_N, (n, n) or (n,); Q if None.
         S: (n, m); 0 if None.
@@ -244,7 +247,8 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         discrete    x <- x + L (y - C x), then x+ = A x + B u,   L = P C' (C P C' + V)^-1
 
     Args:
-        A: (n, n). C: (l, n).
+        A: (n, n).
+        C: (l, n).
         W: intensity (discrete: covariance) of w, (n, n) or (n,).
         V: intensity (discrete: covariance) of e, (l, l) or (l,), positive definite.
         discrete: true for x+ = A x + w.

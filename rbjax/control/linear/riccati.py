@@ -302,8 +302,10 @@ def constant_problem(
     """Build the problem of N equal steps without affine terms.
 
     Args:
-        A: (n, n). B: (n, m).
-        Q: (n, n). R: (m, m).
+        A: (n, n).
+        B: (n, m).
+        Q: (n, n).
+        R: (m, m).
         horizon: N.
         terminal: Q_N (n, n); Q if None.
         S: (n, m); 0 if None.

@@ -54,7 +54,9 @@ def margins(
     """Compute the margins of u = -K x at each input, with the other loops closed.
 
     Args:
-        A: (n, n). B: (n, m). K: (m, n).
+        A: (n, n).
+        B: (n, m).
+        K: (m, n).
         dt: seconds of a step, if x+ = A x + B u; None in continuous time.
         frequencies: number of points of the grid.
         decades: extent of the grid below the slowest and above the fastest rate.

@@ -49,7 +49,8 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
     """Compute the controllable subspace of dx/dt = A x + B u or x+ = A x + B u.
 
     Args:
-        A: (n, n). B: (n, m).
+        A: (n, n).
+        B: (n, m).
         tolerance: singular values up to this are zero, relative to the norm of A, and for B to the
             norm of its column; n times the rounding unit times 100 if None.
 
@@ -75,7 +76,8 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
     """Compute the observable subspace of readings y = C x; `outside` spans the unobservable states.
 
     Args:
-        A: (n, n). C: (l, n).
+        A: (n, n).
+        C: (l, n).
         tolerance: as in `controllability`.
 
     Returns:
@@ -210,7 +212,8 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
     """Solve A W + W A' + B B' = 0, or A W A' - W + B B' = 0, for the Gramian W of a stable system.
 
     Args:
-        A: (n, n), stable. B: (n, m).
+        A: (n, n), stable.
+        B: (n, m).
         discrete: true for A W A' - W + B B' = 0.
 
     Returns:
@@ -238,7 +241,8 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
     x'Wx is the integral (or sum) of |y|^2 of the free response from x.
 
     Args:
-        A: (n, n), stable. C: (l, n).
+        A: (n, n), stable.
+        C: (l, n).
         discrete: true for A'W A - W + C'C = 0.
 
     Returns:
@@ -264,7 +268,9 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
     JAX computes them on CPUs, and on GPUs in some versions. Simple eigenvalues have derivatives.
 
     Args:
-        A: (n, n). B: (n, m). K: (m, n).
+        A: (n, n).
+        B: (n, m).
+        K: (m, n).
 
     Returns:
         Complex numbers.
@@ -294,7 +300,8 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
         Ad = exp(A dt),   Bd = integral_0^dt exp(A s) ds B
 
     Args:
-        A: (n, n). B: (n, m).
+        A: (n, n).
+        B: (n, m).
         dt: seconds.
 
     Returns:

@@ -49,7 +49,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         v: (nv,) velocity.
 
     Returns:
-        (nv, nv); M' = C + C^T along the motion.
+        (nv, nv); C v is in N and N m.
 
     Source: Echeandia & Wensing (2021), *Numerical methods to compute the Coriolis matrix*.
 

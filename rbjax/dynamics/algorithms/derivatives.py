@@ -79,6 +79,9 @@ def inverse_dynamics_derivatives(
         v: (nv,) velocity.
         a: (nv,) acceleration.
 
+    Returns:
+        `InverseDynamicsDerivatives`, each (nv, nv), in SI units.
+
     Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 
     Example:
@@ -132,6 +135,9 @@ def forward_dynamics_derivatives(
         q: (nq,) configuration.
         v: (nv,) velocity.
         tau: (nv,) generalized force.
+
+    Returns:
+        `ForwardDynamicsDerivatives`, each (nv, nv), in SI units.
 
     Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 

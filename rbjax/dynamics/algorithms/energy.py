@@ -52,6 +52,9 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         q: (nq,) configuration.
         v: (nv,) velocity.
 
+    Returns:
+        (), J.
+
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("pendulum")
@@ -83,6 +86,9 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
         model: the robot.
         q: (nq,) configuration.
 
+    Returns:
+        (), J.
+
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("pendulum")
@@ -105,6 +111,9 @@ def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
         model: the robot.
         q: (nq,) configuration.
 
+    Returns:
+        (3,), m.
+
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("quadruped")
@@ -123,6 +132,9 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
+
+    Returns:
+        (6,), N m s, then N s, in world axes.
 
     Source: Orin, Goswami & Lee (2013), *Centroidal dynamics of a humanoid robot*.
 

@@ -113,13 +113,9 @@ def frame_pose(
 
 
 def _point_motion(
-    where: str,
-    model: Model,
-    state: tuple[jax.Array, jax.Array],
-    frame: Frame,
-    quantities: tuple,
+    where: str, model: Model, state: tuple[jax.Array, jax.Array], frame: Frame, quantities: tuple,
     motion: Callable[..., Motion],
-) -> jax.Array:
+) -> jax.Array:  # fmt: skip
     """Compute a spatial vector (6,) of a frame at its origin; zero if it is fixed to the world.
 
     quantities: quantities of links to compute by an outward sweep.
@@ -384,6 +380,9 @@ def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.A
         model: the robot.
         q: (nq,) configuration.
         wrenches: (nb, 6) [moment N m; force N], world axes, at each body's frame origin.
+
+    Returns:
+        (nv,), N and N m.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp

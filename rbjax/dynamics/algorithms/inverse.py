@@ -121,6 +121,9 @@ def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
         model: the robot.
         q: (nq,) configuration.
 
+    Returns:
+        (nv, nv), 1/kg and 1/(kg m^2), in SI units.
+
     Source: Featherstone, 7.5; Carpentier (2018), analytical inverse of the joint-space inertia.
 
     Example:

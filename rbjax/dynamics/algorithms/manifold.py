@@ -133,6 +133,9 @@ def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
         q: (nq,) configuration.
         dq: (nv,) m and rad, in the coordinates of v.
 
+    Returns:
+        (nq,), m, rad and unit quaternions.
+
     Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25.
 
     Example:
@@ -153,6 +156,9 @@ def difference(model: Model, q0: jax.Array, q1: jax.Array) -> jax.Array:
         model: the robot.
         q0: (nq,) configuration.
         q1: (nq,) configuration.
+
+    Returns:
+        (nv,), m and rad.
 
     Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 26.
 

@@ -79,6 +79,9 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         v: (nv,) velocity.
         a: (nv,) acceleration.
 
+    Returns:
+        (nv, 10 nb), in N and N m per unit of pi.
+
     Raises:
         ModelError: a link is flexible.
 
@@ -134,6 +137,15 @@ def _inertia_columns(x: Vec3) -> list[Vec3]:
 
 def inertial_parameters(model: Model) -> jax.Array:
     """Compute the inertial parameters pi (10 nb,) of a model, in the order of the regressor.
+
+    Args:
+        model: the robot.
+
+    Returns:
+        (10 nb,), kg, kg m and kg m^2.
+
+    Raises:
+        InputError: not a model, or a batch of models.
 
     Example:
         >>> import rbjax as rb

@@ -219,6 +219,9 @@ def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         q: (nq,) configuration.
         v: (nv,) velocity.
 
+    Returns:
+        (nv,), N and N m.
+
     Source: Featherstone, 5.3 (RNEA with a = 0).
 
     Example:
@@ -238,6 +241,9 @@ def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
     Args:
         model: the robot.
         q: (nq,) configuration.
+
+    Returns:
+        (nv,), N and N m.
 
     Source: Lynch & Park, *Modern Robotics*, 8.3 (RNEA with v = a = 0).
 

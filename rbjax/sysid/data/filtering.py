@@ -42,7 +42,7 @@ class Filtered:
     """A filtered signal, or a derivative of a filtered signal.
 
     Fields:
-        values: filtered values, in the shape of the signal.
+        values: (T,) or (T, n), filtered values, in the shape of the signal.
         derivative: order of the derivative, 0, 1 or 2.
         cutoff: frequency in Hz with an amplitude of 1/sqrt(2) of the ideal one.
         bandwidth: frequency in Hz up to which the amplitude is within 1 % of the ideal one.

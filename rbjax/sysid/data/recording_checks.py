@@ -38,7 +38,7 @@ class Finding:
         kind: "gap", "dropped", "still", "stuck", "outliers" or "velocity".
         channel: name of the channel.
         column: name of the column, or "".
-        samples: indices of the samples.
+        samples: (n,), indices of the samples.
         sentence: description for users.
     """
 
@@ -60,6 +60,9 @@ def findings(recording: Recording) -> list[Finding]:
 
     Returns:
         List of `Finding`, channel by channel.
+
+    Raises:
+        InputError: not a `Recording`.
 
     Source: Hampel 1974 (outliers: |x_i - median| > 8 * 1.4826 MAD over 7 neighbours).
 

@@ -16,7 +16,13 @@ from rbjax.sysid.data.recording import Recording
 
 @displayed
 class Split(NamedTuple):
-    """Recordings for training, validation and test."""
+    """Recordings for training, validation and test.
+
+    Fields:
+        train: recordings to fit.
+        validation: recordings to choose a model by.
+        test: recordings to judge the chosen model by.
+    """
 
     train: list[Recording]
     validation: list[Recording]

@@ -51,6 +51,12 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
     Args:
         phi: (..., 10) inertial parameters in the body's frame, in kg, kg m, kg m^2.
 
+    Returns:
+        (..., 4, 4), kg m^2, kg m and kg.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
     Source: Wensing, Kim & Slotine, IEEE RA-L 3(1), 2018.
 
     Example:
@@ -72,6 +78,15 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
     It is the inverse of `pseudo_inertia_of`.
 
+    Args:
+        P: (..., 4, 4), pseudo-inertia, kg m^2, kg m and kg.
+
+    Returns:
+        (..., 10), kg, kg m and kg m^2.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
     Example:
         >>> import jax.numpy as jnp
         >>> from rbjax.sysid.parameters import inertial_parameters_of
@@ -90,6 +105,12 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
     Args:
         theta: (..., 10) log-Cholesky coordinates, any real numbers.
+
+    Returns:
+        (..., 4, 4), kg m^2, kg m and kg.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
 
     Source: Rucker & Wensing 2022, eq. 12.
 
@@ -110,6 +131,12 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
     Args:
         theta: (..., 10) log-Cholesky coordinates, any real numbers.
 
+    Returns:
+        (..., 10), kg, kg m and kg m^2.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
+
     Source: Rucker & Wensing 2022, eq. 13.
 
     Example:
@@ -125,7 +152,7 @@ def to_log_cholesky(P: jax.Array) -> jax.Array:
     """Compute the log-Cholesky coordinates of a pseudo-inertia, the inverse of `from_log_cholesky`.
 
     Args:
-        P: (..., 4, 4) symmetric positive definite pseudo-inertia.
+        P: (..., 4, 4), symmetric positive definite pseudo-inertia, kg m^2, kg m and kg.
 
     Returns:
         theta (..., 10). In traced code it is nan if P is not positive definite.
@@ -192,6 +219,9 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
     Returns:
         (..., 4, 4), nearest to P in the Frobenius norm. A valid P is returned unchanged.
 
+    Raises:
+        InputError: another shape, or a margin that is not above 0.
+
     Source: Higham, Linear Algebra Appl. 103, 1988.
 
     Example:
@@ -219,6 +249,12 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
         model: robot.
         pi: (10 nb,) or (nb, 10) inertial parameters, with positive masses.
 
+    Returns:
+        The model with these parameters.
+
+    Raises:
+        InputError: not a model, another shape, or a mass that is not above zero.
+
     Example:
         >>> import rbjax as rb
         >>> from rbjax.sysid.parameters import with_inertial_parameters
@@ -243,6 +279,12 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
 
 def model_log_cholesky(model: Model) -> jax.Array:
     """Compute the log-Cholesky coordinates (nb, 10) of a model's bodies.
+
+    Args:
+        model: robot.
+
+    Returns:
+        (nb, 10), no unit.
 
     Raises:
         InputError: an inertia that is not physically consistent. The message contains the body's
@@ -285,6 +327,9 @@ def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
         P: (..., 4, 4) positive definite pseudo-inertia.
         Q: (..., 4, 4) positive definite pseudo-inertia, such as a prior from the CAD model.
 
+    Returns:
+        (...), no unit.
+
     Raises:
         InputError: a matrix that is not positive definite (only outside of a trace).
 
@@ -310,6 +355,12 @@ def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
     Args:
         theta: (..., 10) log-Cholesky coordinates.
         prior: (..., 10) log-Cholesky coordinates of the CAD model.
+
+    Returns:
+        (..., 10), no unit.
+
+    Raises:
+        InputError: another shape, or values that are not finite.
 
     Source: the divergence of Lee, Wensing & Park 2020, in the coordinates of Rucker & Wensing 2022.
 

@@ -120,6 +120,11 @@ class Inertia:
 
     Args:
         body: name or index of the body.
+
+    Example:
+        >>> from rbjax.sysid import Inertia
+        >>> Inertia('thigh').body
+        'thigh'
     """
 
     body: str | int
@@ -160,6 +165,13 @@ class Shared:
         members: unknowns of equal size. The range of the first member applies.
         factors: one factor of the common value for each member, such as -1 for a mirrored offset.
             None: ones.
+
+    Example:
+        >>> from rbjax.sysid import Shared
+        >>> from rbjax.sysid import Unknown
+        >>> legs = Unknown('bodies.mass', 0), Unknown('bodies.mass', 3)
+        >>> len(Shared(legs).members)
+        2
     """
 
     members: tuple[Unknown, ...]
@@ -194,6 +206,11 @@ class FixedTotal:
         leaf: dotted name of the leaf.
         index: indices of the entries.
         total: sum of the entries.
+
+    Example:
+        >>> from rbjax.sysid import FixedTotal
+        >>> FixedTotal('bodies.mass', (0, 1, 2), total=12.5).total
+        12.5
     """
 
     leaf: str
@@ -251,6 +268,12 @@ class Derived(Scalars):
         positive: whether the parameters are positive.
         bounds: open lower and upper bound.
         scale: a change of this size of a free parameter counts as large; in its unit.
+
+    Example:
+        >>> from rbjax.sysid import Derived
+        >>> into = lambda setup, p: setup.replace(model=setup.model.replace(gravity=p))
+        >>> Derived((0.0, 0.0, -9.8), into).start
+        (0.0, 0.0, -9.8)
     """
 
     start: tuple[float, ...]

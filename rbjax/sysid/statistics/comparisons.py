@@ -182,7 +182,13 @@ def _arrays(given: Mapping[str, Any]) -> Iterator[np.ndarray]:
 
 
 class Scored(NamedTuple):
-    """A fitted model with its weighted sum of squared residuals and its number of parameters."""
+    """A fitted model and its score.
+
+    Fields:
+        name: name of the model.
+        squares: weighted sum of the squared residuals, no unit.
+        parameters: number of parameters.
+    """
 
     name: str
     squares: float

@@ -29,7 +29,14 @@ NULL_SHARE = 1e-5  # a smaller share of a gradient in the null space counts as r
 
 
 class Interval(NamedTuple):
-    """A value with its standard deviation, and the bounds of its confidence interval."""
+    """A value with its confidence interval, all in the unit of the value.
+
+    Fields:
+        value: the estimate.
+        sigma: its standard deviation; inf if it is not identifiable.
+        low: lower bound of the interval.
+        high: upper bound of the interval.
+    """
 
     value: float
     sigma: float

@@ -162,6 +162,10 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     Returns:
         (nv,) zeros in rad or m.
 
+    Raises:
+        InputError: not `TorqueRows`, parameters of another shape, or a spread that is not above
+            zero.
+
     Example:
         >>> import numpy as np, rbjax as rb
         >>> from rbjax.sysid import Channel, Recording

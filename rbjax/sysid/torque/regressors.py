@@ -171,6 +171,16 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
 
     The coordinates of a ball joint are "joint.armature[k]".
 
+    Args:
+        model: robot.
+        joint_terms: names of joint terms, such as "viscous" (`JOINT_TERMS`).
+
+    Returns:
+        (p,) names.
+
+    Raises:
+        InputError: not a model. UnknownName: no such joint term.
+
     Example:
         >>> import rbjax as rb
         >>> from rbjax.sysid.torque import parameter_names
@@ -199,6 +209,16 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
     """Read the parameters pi (p,) from a model, in the order of `parameter_names`.
 
     Coulomb friction, bias and gear losses are 0, since they are not leaves of joints.
+
+    Args:
+        model: robot.
+        joint_terms: names of joint terms, such as "viscous" (`JOINT_TERMS`).
+
+    Returns:
+        (p,), kg, kg m, kg m^2, and the units of the joint terms, SI.
+
+    Raises:
+        InputError: not a model. UnknownName: no such joint term.
 
     Example:
         >>> import rbjax as rb
@@ -329,6 +349,17 @@ def random_motions(
 
     Coordinates are uniform within 3 (rad, m) of the default, and attitudes are uniform. Velocities
     and accelerations are normal with standard deviation 2.
+
+    Args:
+        model: robot.
+        samples: number of samples.
+        seed: of the random numbers.
+
+    Returns:
+        q (samples, nq), m and rad; v and a (samples, nv), SI units.
+
+    Raises:
+        InputError: not a model, or a number of samples below 1.
 
     Example:
         >>> import rbjax as rb

@@ -119,7 +119,20 @@ def equations(
 ) -> Equations:  # fmt: skip
     """Check the equations W pi = tau, the input of the estimators of `METHODS`.
 
-    The arguments and errors are described in `regress`.
+    Args:
+        W: (N, k, p), regressor of N samples.
+        tau: (N, k), torques, N m or N.
+        names: (p,), names of the parameters.
+        noise: standard deviation of the torques: a number, or (k,), N m or N; None to estimate it.
+        base: the `Combinations` of another data set; None for those of W.
+        lengths: numbers of samples of the recordings; None for one recording.
+
+    Returns:
+        `Equations`.
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or fewer torques than
+            parameters.
 
     Example:
         >>> import numpy as np
