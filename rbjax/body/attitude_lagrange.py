@@ -156,7 +156,7 @@ def hamel_acceleration(
     Example:
         >>> import jax.numpy as jnp
         >>> from rbjax.body import hamel_acceleration
-        >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
+        >>> polar = hamel_acceleration(  # a unit mass; nu = (r", r phi")
         ...     lambda q, nu: nu @ nu / 2,
         ...     lambda q, qd: jnp.stack([qd[0], q[0] * qd[1]]),
         ...     lambda q, nu: jnp.stack([nu[0], nu[1] / q[0]]),

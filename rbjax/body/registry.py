@@ -56,7 +56,7 @@ def formulation(name: str) -> Formulation:
 
     Example:
         >>> from rbjax.body import formulation
-        >>> type(formulation('kirchhoff')).__name__
+        >>> type(formulation("kirchhoff")).__name__
         'Kirchhoff'
     """
     known = formulations()

@@ -73,7 +73,13 @@ def mobility(
         tolerance: length below which the part of a scaled row that is orthogonal to the rows before
             it counts as zero, so that the row is redundant; 1e-7 in f64 and 1e-4 in f32 if None.
 
-    Example: a door on two hinges
+    Returns:
+        `Mobility`, with the singular values of the scaled rows.
+
+    Raises:
+        InputError: a negative tolerance.
+
+    Example:
         >>> import rbjax as rb
         >>> model = rb.load("free_body")
         >>> hinges = [

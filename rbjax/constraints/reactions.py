@@ -31,7 +31,12 @@ from rbjax.spatial import Force, Transform
 
 @displayed
 class ConstrainedMotion(NamedTuple):
-    """Accelerations (nv,) and multipliers (m,) of constrained motion."""
+    """Accelerations and multipliers of constrained motion.
+
+    Fields:
+        acceleration: (nv,), m/s^2 and rad/s^2.
+        multipliers: (m,), N and N m.
+    """
 
     acceleration: jax.Array
     multipliers: jax.Array
@@ -106,7 +111,19 @@ def multipliers(
         ctrl: (nu,) controls; None for no actuation.
         t: time in seconds.
 
+    Returns:
+        (m,), N, or N m for rows of angles and cosines.
+
     Source: Masarati, *Multibody System Dynamics*, 8.3.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import multipliers
+        >>> model = rb.load("double_pendulum")
+        >>> rod = rb.constraints.Distance.between(model, None, "lower", point=[0.3, 0.0, 0.0],
+        ...     other=[0.0, 0.0, 0.4])
+        >>> multipliers(model.with_constraints(rod), model.default_state()).shape
+        (1,)
     """
     return _multipliers(model, state, ctrl, t)
 
@@ -128,10 +145,26 @@ def joint_wrenches(
 ) -> jax.Array:
     """Compute the wrench that each loop joint (`Pair`) exerts on its body b, or on the world.
 
-    Args: as in `multipliers`.
+    Args:
+        model: the robot, with constraints between two frames only.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) if force elements have states.
+        ctrl: (nu,) controls; None for no actuation.
+        t: time, s.
 
     Returns:
         (joints, 6) [torque N m; force N] in world axes, at the origin of the joint's frame on b.
+
+    Raises:
+        InputError: the model has another constraint than a `Pair`, such as `Distance` or
+            `Revolute`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import joint_wrenches
+        >>> model = rb.load("double_pendulum")
+        >>> pin = rb.constraints.Revolute.between(model, None, "lower", point=[0.0, 0.0, 1.0])
+        >>> joint_wrenches(model.with_constraints(pin), model.default_state()).shape
+        (1, 6)
     """
     l = _multipliers(model, state, ctrl, t)
     context = Context.of(model, t, state, None)

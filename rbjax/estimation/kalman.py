@@ -164,7 +164,10 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         filtered: the result of `kalman_filter`.
 
     Returns:
-        `Smoothed`.
+        `Smoothed`, with states and covariances (T, n, n).
+
+    Raises:
+        InputError: not a `StateSpace`, or not the result of `kalman_filter`.
 
     Source: Bryson & Frazier 1963; Bierman, *Fixed interval smoothing with discrete measurements*,
     Int. J. Control 18(1), 1973; Rauch, Tung & Striebel, AIAA J. 3(8), 1965.

@@ -40,9 +40,12 @@ def section_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) ->
 
     Args:
         model: the robot.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-        a: (nv,) acceleration.
+        q: (nq,) configuration, m and rad.
+        v: (nv,) velocity, m/s and rad/s.
+        a: (nv,) acceleration, m/s^2 and rad/s^2.
+
+    Returns:
+        (nv, 10 nb + p), N and N m per unit of the parameters.
 
     Raises:
         ModelError: a flexible link is not a beam.
@@ -93,6 +96,15 @@ def section_parameters(model: Model) -> jax.Array:
     Of each beam: mass_per_length, rotary_inertia (x, y, z), and for eccentric sections first_moment
     (y, z) and product_of_inertia; of a tapered beam at each Gauss point (`section_names`).
 
+    Args:
+        model: the robot.
+
+    Returns:
+        (p,), kg/m, kg m, kg and kg m.
+
+    Raises:
+        InputError: not a model. ModelError: a flexible link that is not a beam.
+
     Example:
         >>> import rbjax as rb
         >>> rod = rb.flexible.beam(2.0, [0, 0, 6.0, 0, 0, 0], {"k_z": 1}, mass=0.5)
@@ -110,6 +122,15 @@ def section_parameters(model: Model) -> jax.Array:
 
 def section_names(model: Model) -> tuple[str, ...]:
     """Return the names of `section_parameters`, such as "rod.rotary_inertia[2]".
+
+    Args:
+        model: the robot.
+
+    Returns:
+        (p,) names.
+
+    Raises:
+        InputError: not a model.
 
     Example:
         >>> import rbjax as rb

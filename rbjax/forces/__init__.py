@@ -1,10 +1,11 @@
 """Forces on a robot: springs, dampers, actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
-from rbjax.forces.context import Context, Frame, JointState, on_each
+from rbjax.forces.context import Context, Frame, on_each
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid import EllipsoidFluid, InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
+from rbjax.forces.joint_state import JointState
 from rbjax.forces.joints.cable import Cable
 from rbjax.forces.joints.curves import JointCurves
 from rbjax.forces.joints.friction import GearLoss, JointFriction

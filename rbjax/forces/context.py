@@ -23,6 +23,7 @@ from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
+from rbjax.forces.joint_state import JointState
 from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
 from rbjax.model import WORLD, Model, State, without_constants
@@ -37,6 +38,7 @@ class Context:
     """The state of motion at an instant, as the argument of a force element, constraint or sensor.
 
     Fields:
+        model, links: the robot, and the motion of its links.
         t: time in s.
         q, v: configuration (nq,), velocity (nv,).
         ctrl: controls (nu,), or None.
@@ -263,27 +265,6 @@ class Frame:
         return out
 
 
-@dataclass(frozen=True)
-class JointState:
-    """A joint at an instant: its kind, and its coordinates q and velocities v as lanes."""
-
-    kind: str
-    q: Sequence[Lane]
-    v: Sequence[Lane]
-    start: int
-
-    def push(self, *tau: Any) -> Loads:
-        """Make loads of generalized forces on the dofs of the joint: N m for a rotation, N for a
-        translation."""
-        if len(tau) == 1 and np.ndim(tau[0]) == 1:
-            tau = tuple(tau[0])
-        if len(tau) != len(self.v):
-            raise InputError(
-                f"push: got {len(tau)} forces on a {self.kind} joint, expected {len(self.v)}"
-            )
-        return Loads({self.start + k: x for k, x in enumerate(tau)})
-
-
 def _vector(where: str, x: Any) -> Vec3:
     if isinstance(x, Vec3):
         shapes = [np.shape(a) for a in x]
@@ -312,6 +293,9 @@ def on_each(
             loop. Otherwise the code is unrolled.
         numbers: parameters of all bodies: arrays (n,), passed to `act` as a lane; arrays (n, 3),
             passed as a `Vec3`; or pytrees of these arrays.
+
+    Returns:
+        The sum of the `Loads`.
 
     Example:
         >>> import rbjax as rb, jax

@@ -223,21 +223,26 @@ class DofKind(abc.ABC):
 
 @dataclass(frozen=True)
 class DofSpec:
-    """One dof of a joint: its kind, the coordinates that determine its motion, and its frame."""
+    """One dof of a joint: its kind, the coordinates that determine its motion, and its frame.
+
+    Fields:
+        kind: the kind of motion.
+        q, v: indices among the coordinates of the joint.
+        axis: the axis of the joint's frame that is the z axis of the dof: 0, 1, 2.
+        own_axis: the index of three parameters of the joint that are the z axis of the dof instead,
+            or None.
+        node: the dofs of the joint that share the frame of this dof.
+        from_reference: whether the displacement is the coordinate minus the model's reference.
+        turns_body: whether the motion rotates the body's frame instead of the frame of the dof.
+    """
 
     kind: DofKind
-    #: indices among the coordinates of the joint
     q: range
     v: range
-    #: the axis of the joint's frame that is the z axis of the dof: 0, 1, 2
     axis: int = 2
-    #: the index of three parameters of the joint that are the z axis of the dof instead, or None
     own_axis: int | None = None
-    #: the dofs of the joint that share the frame of this dof
     node: range = range(1)
-    #: True if the displacement is the coordinate minus the model's reference
     from_reference: bool = True
-    #: True if the motion rotates the body's frame instead of the frame of the dof
     turns_body: bool = False
 
 

@@ -18,7 +18,21 @@ _CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y 
 
 
 def hinge_motion(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """Return the motion of a hinge from the cosine and sine of its angle and its speed."""
+    """Return the motion of a hinge from the cosine and sine of its angle and its speed.
+
+    Args:
+        c: cosine of the angle.
+        s: sine of the angle.
+        qd: speed, rad/s.
+
+    Returns:
+        A `JointMotion`.
+
+    Example:
+        >>> from rbjax.joints import hinge_motion
+        >>> hinge_motion(1.0, 0.0, 2.0).qd
+        2.0
+    """
     return JointMotion(rotation_z(c, s), Vec3.zero(), TURN, Vec3(0.0, 0.0, qd), qd)
 
 

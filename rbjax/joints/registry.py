@@ -28,6 +28,12 @@ def kinds() -> dict[str, Joint]:
 def kind(name: str) -> Joint:
     """Return a kind of joint, by its name.
 
+    Args:
+        name: one of `kinds()`.
+
+    Returns:
+        The `Joint`.
+
     Raises:
         UnknownName: no such kind; the message lists the names.
 

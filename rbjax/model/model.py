@@ -46,7 +46,20 @@ _AXES = list(AXES.values())
 
 
 class Model(Record):
-    """A robot, as a pytree.
+    """A robot, as a pytree. `rb.load` makes it from a file.
+
+    Fields:
+        bodies, joints, actuators, sites, keyframes: the parts, as arrays in SI units.
+        gravity: (3,), m/s^2.
+        topology: static, the tree: parents, kinds of joints, names.
+        timestep: static, the step of the file, s.
+        dropped: static, what was left out of the file.
+        execution: options that do not change results, such as the driver of the recursions.
+        forces: force elements (`rbjax.forces.Element`), without joint springs and actuators.
+        constraints: constraints on the motion (`rbjax.constraints.Constraint`).
+        geoms, tendons, solver: None if the model has none.
+        contact: static, the contact law: "mujoco", or None for no contact.
+        sensors: `rbjax.sensors.NamedSensor`s, read by `rb.sense`.
 
     Example:
         >>> import rbjax as rb
@@ -66,15 +79,13 @@ class Model(Record):
     timestep: float = eqx.field(static=True)
     dropped: tuple[str, ...] = eqx.field(static=True)
     execution: Execution = Execution()
-    #: force elements (`rbjax.forces.Element`), without the springs of `joints` and the `actuators`
     forces: tuple = ()
-    #: constraints on the motion (`rbjax.constraints.Constraint`)
     constraints: tuple = ()
-    geoms: Geoms | None = None  # None if the model is not from a file
-    tendons: Tendons | None = None  # None if the model has no tendons
-    solver: SolverParameters | None = None  # as geoms
-    contact: str | None = eqx.field(static=True, default=None)  # law: "mujoco", None for none
-    sensors: tuple = ()  # `rbjax.sensors.NamedSensor`, read by `rb.sense`
+    geoms: Geoms | None = None
+    tendons: Tendons | None = None
+    solver: SolverParameters | None = None
+    contact: str | None = eqx.field(static=True, default=None)
+    sensors: tuple = ()
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)

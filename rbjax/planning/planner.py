@@ -36,6 +36,14 @@ def drives() -> dict[str, Callable[..., Controls]]:
 
     Their arguments are the turning radius in m, the least length of a motion in m, and whether the
     robot may drive backwards.
+
+    Returns:
+        Name -> function.
+
+    Example:
+        >>> from rbjax.planning import drives
+        >>> sorted(drives())
+        ['car', 'differential', 'omnidirectional']
     """
     return {
         "car": car_controls,
@@ -45,7 +53,16 @@ def drives() -> dict[str, Callable[..., Controls]]:
 
 
 def methods() -> dict[str, Callable[..., Plan]]:
-    """Return the search algorithms: name -> function."""
+    """Return the search algorithms: name -> function.
+
+    Returns:
+        Name -> function.
+
+    Example:
+        >>> from rbjax.planning import methods
+        >>> sorted(methods())
+        ['grid_a_star', 'grid_dijkstra', 'hybrid_a_star']
+    """
     return {
         "hybrid_a_star": hybrid_a_star,
         "grid_a_star": grid_a_star,

@@ -124,7 +124,7 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
         >>> import numpy as np
         >>> import rbjax as rb
         >>> from rbjax.plotting import poses
-        >>> R, p = poses(rb.load('pendulum'), np.zeros((3, 1)))
+        >>> R, p = poses(rb.load("pendulum"), np.zeros((3, 1)))
         >>> R.shape, p.shape
         ((3, 1, 3, 3), (3, 1, 3))
     """

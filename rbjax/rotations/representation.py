@@ -153,7 +153,7 @@ def representations() -> MappingProxyType[str, Representation]:
         >>> reps = representations()
         >>> len(reps) >= 30, list(reps)[:3]
         (True, ['rotation_matrix', 'unit_quaternion', 'unit_quaternion_xyzw'])
-        >>> reps['roll_pitch_yaw'].to_matrix([0.0, 0.0, jnp.pi / 2]).round(6)[0].tolist()
+        >>> reps["roll_pitch_yaw"].to_matrix([0.0, 0.0, jnp.pi / 2]).round(6)[0].tolist()
         [0.0, -1.0, 0.0]
     """
     formulas: dict[str, Formulas] = {

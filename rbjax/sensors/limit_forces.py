@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.contact.rows.scalar_row import LIMIT
-from rbjax.forces.context import Context, JointState
+from rbjax.forces.context import Context
+from rbjax.forces.joint_state import JointState
 from rbjax.forces.joints.limits import JointLimits
 from rbjax.lanes import Lane, inner, safe_sqrt
 from rbjax.sensors.actuators import TendonLimitSensor

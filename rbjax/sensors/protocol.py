@@ -72,6 +72,9 @@ def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
 
     A class that is defined again, for instance in a notebook, replaces the earlier one.
 
+    Returns:
+        The decorator.
+
     Raises:
         InputError: a name that is not a word, or that belongs to another class.
 
@@ -102,6 +105,12 @@ def register(name: str, *, placed: bool = False) -> Callable[[C], C]:
 
 def sensor_of(name: str) -> Sensor:
     """Make the ideal sensor of a name, such as "q" or "gyro:imu".
+
+    Args:
+        name: a kind of `kinds()`, with ":PLACE" if it is placed.
+
+    Returns:
+        The sensor.
 
     Raises:
         UnknownName: no registered kind has this name.

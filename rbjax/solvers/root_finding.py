@@ -39,8 +39,8 @@ class RootFinder(optx.AbstractRootFinder):
         slope: function like `near`, used in chord and Newton iterations.
 
     Fields:
-        inner: the wrapped root finder. optimistix and diffrax require the other fields, which are
-            not used.
+        inner: the wrapped root finder.
+        rtol, atol, norm: required by optimistix and diffrax, and not used.
     """
 
     rtol: float = 1.0

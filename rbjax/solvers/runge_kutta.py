@@ -345,7 +345,12 @@ class SDIRK2(diffrax.AbstractSDIRK):
     """Alexander's diagonally implicit method of two stages: order 2, L-stable, stiffly accurate.
 
         gamma = 1 - 1 / sqrt 2,    c = (gamma, 1),    a_21 = b_1 = 1 - gamma,    b_2 = gamma
+
     The embedded method has order 1. For order 3, 4 and 5 use Kvaerno's methods of diffrax.
+
+    Fields:
+        root_finder: of optimistix, for the implicit stages.
+        root_find_max_steps: largest number of its iterations.
 
     Source: Alexander, *SIAM Journal on Numerical Analysis* 14, 1977.
     """

@@ -29,7 +29,13 @@ class Error:
 @displayed
 @dataclass(frozen=True)
 class Row:
-    """A quantity, with its errors and the largest allowed errors of rbjax, both by column."""
+    """A quantity, with its errors and the largest allowed errors of rbjax.
+
+    Fields:
+        quantity: name of the quantity.
+        errors: column -> `Error`, relative.
+        tolerances: column -> largest allowed error.
+    """
 
     quantity: str
     errors: dict[str, Error]

@@ -27,6 +27,8 @@ UNIT = re.compile(
     r"|unit quaternion|\bunits?\b"
 )
 SECTIONS = "Args|Fields|Attributes|Returns|Yields|Raises|Example"
+#: classes that functions make: their fields are not for users
+MADE = re.compile(r"that `\w+` builds|made by `\w+`|^A policy ")
 #: functions whose calls raise `InputError` for bad arguments
 CHECKS = re.compile(
     r"^(check|checked|real_|integer$|choice$|instance$|flag$|take[sn]$|shape_of$|known_array$|index_of$)"
@@ -57,7 +59,7 @@ def raises(x: Any) -> bool:
     except (OSError, TypeError, SyntaxError):
         return False
     for node in ast.walk(tree):
-        if isinstance(node, ast.Raise):
+        if isinstance(node, ast.Raise) and not ast.unparse(node).startswith("raise _"):
             return True
         if isinstance(node, ast.Call):
             name = getattr(node.func, "attr", getattr(node.func, "id", ""))
@@ -79,8 +81,9 @@ def missing(x: Any) -> list[str]:
     if re.search(rf"\S\n({SECTIONS}):\n", text):  # mkdocstrings reads no section after a full line
         found.append("blank line")
     if inspect.isclass(x):
-        small = issubclass(x, enum.Enum | BaseException) or not fields(x)
-        if not small and not all(re.search(rf"\b{name}\b", text) for name in fields(x)):
+        small = issubclass(x, enum.Enum | BaseException) or not fields(x) or bool(MADE.search(text))
+        names = [*inspect.signature(x).parameters] if "Args:" in text else fields(x)
+        if not small and not all(re.search(rf"\b{name}\b", text) for name in names):
             found.append("fields")
         if not small and arrays(x) and not SHAPE.search(text):
             found.append("shapes")
@@ -107,7 +110,7 @@ def missing(x: Any) -> list[str]:
         found.append("returns")
     if raises(x) and "Raises:" not in text:
         found.append("raises")
-    if ">>>" not in example:
+    if ">>>" not in example and not re.search(r"See `\S+` for an example", text):
         found.append("example")
     return found
 
@@ -124,7 +127,7 @@ def fields(cls: type) -> list[str]:
     names = getattr(cls, "_fields", None) if issubclass(cls, tuple) else None
     if names is None and dataclasses.is_dataclass(cls):
         own = vars(cls).get("__annotations__", {})
-        names = [f.name for f in dataclasses.fields(cls) if f.name in own]
+        names = [f.name for f in dataclasses.fields(cls) if f.name in own and f.repr]
     return [n for n in names or () if not n.startswith("_")]
 
 

@@ -9,10 +9,8 @@ import pytest
 import rbjax as rb
 from tests.public import docstrings
 
-#: the rooms whose docstrings are complete
-COMPLETE = ("contact", "spatial")
-#: the least share of complete docstrings of all rooms
-LEAST = 0.74
+#: the least share of complete docstrings of `rb.envs`; all other rooms are complete
+LEAST = 0.48
 
 
 def good(q: np.ndarray, gain: float = 1.0) -> np.ndarray:
@@ -65,8 +63,7 @@ def test_what_is_missing_is_found(text, part):
 
 def test_docstrings_are_complete():
     found = {name: docstrings.missing(x) for name, x in docstrings.public()}
-    lacking = {name: parts for name, parts in found.items() if parts}
-    must = {n: parts for n, parts in lacking.items() if n.partition(".")[0] in COMPLETE}
-    assert not must, "\n".join(f"{name}: {', '.join(parts)}" for name, parts in must.items())
-    share = 1 - len(lacking) / len(found)
-    assert share >= LEAST, f"{share:.1%} of {len(found)} docstrings are complete"
+    envs = [parts for name, parts in found.items() if name.startswith("envs.")]
+    lacking = {n: x for n, x in found.items() if x and not n.startswith("envs.")}
+    assert not lacking, "\n".join(f"{n}: {', '.join(parts)}" for n, parts in lacking.items())
+    assert sum(not parts for parts in envs) / len(envs) >= LEAST

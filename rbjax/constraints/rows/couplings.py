@@ -70,7 +70,7 @@ class Gear(Constraint):
 
     Fields:
         joint, driver: static, names or indices of hinges 1 and 2.
-        ratio: transmission ratio, negative for externally meshing wheels.
+        ratio: (), transmission ratio, negative for externally meshing wheels.
     """
 
     joint: str | int = eqx.field(static=True)
@@ -91,7 +91,7 @@ class Rack(Constraint):
     Fields:
         joint: static, name or index of the slide.
         driver: static, name or index of the hinge.
-        radius: pitch radius of the pinion, m; negative for the other side of the pinion.
+        radius: (), pitch radius of the pinion, m; negative for the other side of the pinion.
     """
 
     joint: str | int = eqx.field(static=True)

@@ -38,12 +38,46 @@ AXES = (X, Y, Z)
 
 
 def time(context: Context) -> Row:
-    """Return the row whose value is the time t."""
+    """Return the row whose value is the time t.
+
+    Args:
+        context: a `Context`, the argument of `Constraint.rows`.
+
+    Returns:
+        A `Row`, s.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import time
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> float(time(now).value)
+        0.0
+    """
     return Row(context.t, 1.0, Loads(), 0.0)
 
 
 def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
-    """Return the row of coordinate k of a joint: a hinge, a slide or a chain of them."""
+    """Return the row of a coordinate of a joint: a hinge, a slide or a chain of them.
+
+    Args:
+        context: a `Context`, the argument of `Constraint.rows`.
+        joint: name or index of the joint.
+        k: index of the coordinate in the joint.
+
+    Returns:
+        A `Row`, rad or m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import coordinate
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> float(coordinate(now, "shoulder").value)
+        0.0
+    """
     j = context.joint(joint)
     i = j.start + k
     return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if context.a is None else context.a[i])
@@ -68,7 +102,25 @@ def opposed(action: Loads, reaction: Loads) -> Loads:
 
 
 def displacement(A: Frame, B: Frame) -> list[Row]:
-    """Return the three rows of p_B - p_A, the vector from A's to B's origin, in world axes."""
+    """Return the three rows of p_B - p_A, the vector from A's to B's origin, in world axes.
+
+    Args:
+        A: a `Frame` of a context, as `context.body(name)`.
+        B: a `Frame` of the same context.
+
+    Returns:
+        Three `Row`s, m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import displacement
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> A, B = now.body("upper"), now.body("lower")
+        >>> [round(float(row.value), 3) + 0.0 for row in displacement(A, B)]
+        [0.0, 0.0, -1.0]
+    """
     d, rate, acceleration = _relative(A, B)
     return [
         Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), acceleration[k])
@@ -77,7 +129,27 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:
-    """Return the row u . (p_B - p_A), with u in A's axes and the origins p of both frames."""
+    """Return the row u . (p_B - p_A), with u in A's axes and the origins p of both frames.
+
+    Args:
+        A: a `Frame` of a context, as `context.body(name)`.
+        u: a `Vec3` in A's axes.
+        B: a `Frame` of the same context.
+
+    Returns:
+        A `Row`, m if u has no unit.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import along
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> A, B = now.body("upper"), now.body("lower")
+        >>> from rbjax.lanes import Vec3
+        >>> round(float(along(A, Vec3(0.0, 0.0, 1.0), B).value), 3)
+        -1.0
+    """
     u, w = A.rotation @ u, A.angular_velocity
     d, rate, acceleration = _relative(A, B)
     du = w.cross(u)
@@ -91,7 +163,29 @@ def along(A: Frame, u: Vec3, B: Frame) -> Row:
 
 
 def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
-    """Return the row u . w, with u in A's axes and w in B's axes."""
+    """Return the row u . w, with u in A's axes and w in B's axes.
+
+    Args:
+        A: a `Frame` of a context, as `context.body(name)`.
+        u: a `Vec3` in A's axes.
+        B: a `Frame` of the same context.
+        w: a `Vec3` in B's axes.
+
+    Returns:
+        A `Row`, the product of the units of u and w.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import cosine
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> A, B = now.body("upper"), now.body("lower")
+        >>> from rbjax.lanes import Vec3
+        >>> z = Vec3(0.0, 0.0, 1.0)
+        >>> round(float(cosine(A, z, B, z).value), 3)
+        1.0
+    """
     u, w = A.rotation @ u, B.rotation @ w
     a, b = A.angular_velocity, B.angular_velocity
     torque = w.cross(u)
@@ -106,8 +200,28 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """Return the row sqrt(d^2 + least^2), with the distance d of the origins of both frames. It is
-    smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero."""
+    """Return the row sqrt(d^2 + least^2), with the distance d of the origins of both frames.
+
+    It is smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero.
+
+    Args:
+        A: a `Frame` of a context, as `context.body(name)`.
+        B: a `Frame` of the same context.
+        least: least value, m.
+
+    Returns:
+        A `Row`, m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import distance
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> A, B = now.body("upper"), now.body("lower")
+        >>> round(float(distance(A, B).value), 3)
+        1.0
+    """
     d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
     positive = square > 0
@@ -121,8 +235,27 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
 
 
 def turn(A: Frame, B: Frame) -> list[Row]:
-    """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n. They are
-    half the skew part of the rotation matrix, and zero if the frames are aligned."""
+    """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n.
+
+    They are half the skew part of the rotation matrix, and zero if the frames are aligned.
+
+    Args:
+        A: a `Frame` of a context, as `context.body(name)`.
+        B: a `Frame` of the same context.
+
+    Returns:
+        Three `Row`s, no unit.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import turn
+        >>> from rbjax.forces import Context
+        >>> model = rb.load("double_pendulum")
+        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> A, B = now.body("upper"), now.body("lower")
+        >>> [round(float(row.value), 3) + 0.0 for row in turn(A, B)]
+        [0.0, 0.0, 0.0]
+    """
     return [
         (cosine(A, AXES[j], B, AXES[i]) - cosine(A, AXES[i], B, AXES[j])) * -0.5
         for i, j in ((2, 1), (0, 2), (1, 0))
@@ -151,6 +284,20 @@ def places(
             `rb.Frame`, else the origin of the world.
         axis: (3,) z axis of the frame in world axes, of any length.
         q: (nq,) configuration at which they coincide; None for the model's default state.
+
+    Returns:
+        The places on a and on b.
+
+    Raises:
+        InputError: not a model, or a point or an axis of another shape. UnknownName: no such body.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.constraints import places
+        >>> model = rb.load("double_pendulum")
+        >>> a, b = places(model, None, "lower", point=[0.3, 0.0, 0.0])
+        >>> a.position.tolist()
+        [0.3, 0.0, 0.0]
     """
     instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
     q = model.default_state().q if q is None else q

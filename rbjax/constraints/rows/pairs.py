@@ -195,7 +195,7 @@ class Screw(Pair):
     """A screw joint: a cylindrical joint with slide = pitch angle / (2 pi), five rows.
 
     Fields:
-        pitch: slide per turn, m, not zero. The number of turns follows from the slide, so the
+        pitch: (), slide per turn, m, not zero. The number of turns follows from the slide, so the
             residual must stay below half a turn.
     """
 
@@ -275,7 +275,7 @@ class Distance(Pair):
     """A massless rod with ball joints at both ends: |p_b - p_a| = length, one row.
 
     Fields:
-        length: distance of the two origins, m, above zero.
+        length: (), distance of the two origins, m, above zero.
 
     Example:
         >>> import rbjax as rb
@@ -350,7 +350,7 @@ class QuaternionWeld(Pair):
 
     Fields:
         a, b: `Place`s on the two bodies.
-        scale: MuJoCo's torquescale, m.
+        scale: (), MuJoCo's torquescale, m.
     """
 
     scale: jax.Array = eqx.field(converter=floats)

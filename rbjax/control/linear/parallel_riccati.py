@@ -171,6 +171,9 @@ def parallel_roll(
     Returns:
         dx (N + 1, n), du (N, m).
 
+    Raises:
+        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
+
     Example:
         >>> import jax.numpy as jnp
         >>> from rbjax.control.linear import constant_problem, parallel_backward, parallel_roll

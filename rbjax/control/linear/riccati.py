@@ -114,6 +114,9 @@ def backward(problem: LinearQuadratic) -> Gains:
 
     Compatible with `rb.threads`, one problem per thread. Differentiable in both modes.
 
+    Raises:
+        InputError: not a `LinearQuadratic`.
+
     Source: Bryson & Ho, *Applied Optimal Control*, 5.
 
     Example:
@@ -167,6 +170,9 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
     Returns:
         dx (N + 1, n), du (N, m).
 
+    Raises:
+        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
+
     Example:
         >>> import jax.numpy as jnp
         >>> from rbjax.control.linear import backward, constant_problem, roll
@@ -196,6 +202,17 @@ def roll_linear(
 
 def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:
     """Return the cost of states (N + 1, n) and controls (N, m).
+
+    Args:
+        problem: one sample.
+        x: (N + 1, n), states.
+        u: (N, m), controls.
+
+    Returns:
+        (), the cost.
+
+    Raises:
+        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -245,6 +262,9 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
 
     Returns:
         `Steered`; success is false if N steps do not reach the target, or H is not definite.
+
+    Raises:
+        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
 
     Source: Bryson & Ho, *Applied Optimal Control*, 5.3 (terminal constraints).
 
@@ -312,6 +332,9 @@ def constant_problem(
 
     Returns:
         `LinearQuadratic`.
+
+    Raises:
+        InputError: shapes, values that are not finite, or a horizon below 1.
 
     Example:
         >>> import jax.numpy as jnp

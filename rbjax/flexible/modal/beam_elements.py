@@ -75,6 +75,9 @@ def beam_mesh(
         y_axis: direction (3,) or (e, 3) whose part across an element is its y axis; None for the
             global axis that is the most perpendicular to each element.
 
+    Returns:
+        `FiniteElements`.
+
     Raises:
         InputError: shapes do not fit, an element has no length, or a stiffness is not positive.
 

@@ -79,6 +79,9 @@ def inertia_invariants(
         inertias: J (n, 3, 3) about each point, kg m^2; None for none.
         turn_inertias: include the rotation of the inertias J with their points to first order.
 
+    Returns:
+        `InertiaInvariants`, in SI units.
+
     Raises:
         InputError: a shape is wrong, a number is not finite, or the mass is not positive.
 
@@ -167,6 +170,9 @@ def from_points(
             for none.
         frames: indices of the points that carry a frame; their names are their indices.
         turn_inertias: include the rotation of the inertias with their points to first order.
+
+    Returns:
+        `ModalBody`.
 
     Raises:
         InputError: a shape is wrong, a number is not finite, or a frame is not a point.

@@ -47,6 +47,9 @@ def read_mbdyn_modal(
         path: the file, often with the ending .fem.
         frames: labels of the nodes that become frames; None for all.
 
+    Returns:
+        `MBDynModal`: the body, and the initial q and q'.
+
     Raises:
         InputError: a record is missing, has a wrong number of values, or is not valid.
         UnknownName: a label of `frames` is not a node.

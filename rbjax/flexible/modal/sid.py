@@ -45,6 +45,9 @@ def read_sid(path: str | os.PathLike[str]) -> ModalBody:
     Args:
         path: the file, often with the ending .SID_FEM.
 
+    Returns:
+        `ModalBody`.
+
     Raises:
         InputError: a line is not valid, a block is incomplete or missing, or indices of first-order
             terms contradict each other.
@@ -72,6 +75,9 @@ def from_sid(sid: Any) -> ModalBody:
         sid: an object with the attributes `refmod` (mass, nelastq, ielastq), `frame` (a sequence of
             objects with origin, phi, psi and AP or APmod) and mdCM, J, Ct, Cr, Me, Oe, Ke and
             perhaps De, each with the arrays M0 (rows, columns) and perhaps M1 (rows, columns, q).
+
+    Returns:
+        `ModalBody`.
 
     Raises:
         InputError: a block is missing or has a wrong shape.
@@ -167,6 +173,17 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     Source: Wallrapp 1994.
 
     See `read_sid` for an example.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.flexible.modal import write_sid
+        >>> import tempfile, pathlib
+        >>> from rbjax.flexible.modal import from_points
+        >>> body = from_points(np.ones(2), np.eye(3)[:2], np.zeros((2, 3, 1)))
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "rod.SID_FEM"
+        >>> write_sid(body, file)
+        >>> file.exists()
+        True
     """
     b = SimpleNamespace(**{k: np.asarray(getattr(body, k)) for k in shapes(1, 1)})
     m, lines = body.mode_count, ["SID written by rbjax", "part", "new modal", "refmod"]

@@ -93,6 +93,9 @@ def elastic_force(body: ModalBody, q: jax.Array, qd: jax.Array) -> jax.Array:
         q: coordinates (m,).
         qd: their rates (m,).
 
+    Returns:
+        (m,), in J per unit of q.
+
     Source: Shabana, section 5.5.
 
     Example:
@@ -118,6 +121,9 @@ def stiffness_in_motion(
         w: angular velocity of the floating frame in its axes (3,), rad/s.
         acceleration: of its origin minus gravity (3,), m/s^2; None for zero.
         angular_acceleration: (3,), rad/s^2; None for zero.
+
+    Returns:
+        (m, m), in J per squared unit of q.
 
     Source: Wallrapp & Schwertassek 1991.
 

@@ -37,6 +37,9 @@ def tetrahedral_mesh(
         poisson: Poisson's ratio, from 0 to less than 0.5.
         density: kg/m^3.
 
+    Returns:
+        `FiniteElements`.
+
     Raises:
         InputError: shapes do not fit, a constant is out of its range, a node belongs to no element,
             or an element has no positive volume.
@@ -138,7 +141,22 @@ def box_mesh(
 
 
 def with_middle_nodes(nodes: Any, tetrahedra: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes and 10-node tetrahedra with nodes at the middles of the edges of (e, 4)."""
+    """Return nodes and 10-node tetrahedra, with nodes at the middles of the edges.
+
+    Args:
+        nodes: (n, 3), m.
+        tetrahedra: (e, 4), indices of the corners.
+
+    Returns:
+        Nodes (n + k, 3), m, and tetrahedra (e, 10).
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.flexible.modal import with_middle_nodes
+        >>> nodes, cells = with_middle_nodes(np.eye(4)[:, :3], [[0, 1, 2, 3]])
+        >>> nodes.shape, cells.shape
+        ((10, 3), (1, 10))
+    """
     x, cells = np.asarray(nodes, float), np.asarray(tetrahedra)
     pairs = np.sort(np.stack([cells[:, edge] for edge in EDGES], 1), -1).reshape(-1, 2)
     edges, where = np.unique(pairs, axis=0, return_inverse=True)

@@ -30,8 +30,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, JointState
+from rbjax.forces.context import Context
 from rbjax.forces.element import Element, Loads, Shapes
+from rbjax.forces.joint_state import JointState
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, safe_sqrt, sub, total
 from rbjax.model import Model
 from rbjax.model.leaves import table

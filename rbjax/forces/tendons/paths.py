@@ -64,6 +64,18 @@ def tendon_reach(context: Context, tendon: str | int) -> Reach:
     Returns:
         `Reach(length, arms)`: m, or the unit of the joint coordinates of a fixed tendon; and the
         derivative of the length by dof. `speed(context)` is its rate.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> from rbjax.forces import tendon_reach
+        >>> from rbjax.forces import Context
+        >>> arm = "<worldbody><body><joint name='a'/><geom size='0.1'/></body></worldbody>"
+        >>> tie = "<tendon><fixed name='t'><joint joint='a' coef='2'/></fixed></tendon>"
+        >>> model = rb.load(f"<mujoco>{arm}{tie}</mujoco>")
+        >>> state = model.default_state().replace(q=jnp.array([0.3]))
+        >>> float(tendon_reach(Context.of(model, 0.0, state, None), "t").length)
+        0.6
     """
     i = context.model.tendon(tendon)
     return context.once(_key(i), lambda: _reach(context, i))

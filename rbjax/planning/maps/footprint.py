@@ -187,7 +187,9 @@ def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.A
     than resolution * sqrt(2).
 
     Args:
-        field, poses, footprint: as for `clearance`.
+        field: `OccupancyGrid.distance_field()`.
+        poses: (..., 3), m, m and rad.
+        footprint: `Footprint`.
 
     Returns:
         (...) of bool.

@@ -209,13 +209,16 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
     length in a part, so the motion between the tested poses is covered too.
 
     Args:
-        field: `OccupancyGrid.distance_field()`.
+        field: `OccupancyGrid.distance_field()`, m.
         path: `Path`; leading axes are a batch.
-        footprint: `Footprint`.
+        footprint: `Footprint`, m.
         parts: the number of parts of each step. More parts are less conservative.
 
     Returns:
         (...) of bool.
+
+    Raises:
+        InputError: wrong types, or a number of parts out of range.
 
     Example:
         >>> from rbjax.planning import OccupancyGrid

@@ -56,6 +56,9 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
         model: the robot.
         state: `State(q (nq,), v (nv,))`.
 
+    Returns:
+        q (nq,), m and rad, and p (nv,), N s and N m s.
+
     Raises:
         InputError: the model has quaternions, or force elements with states; wrong shapes or
             dtypes, or values that are not finite.
@@ -78,6 +81,13 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
 
 def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
     """Convert (q, p) to a state, with v = M(q)^-1 p.
+
+    Args:
+        model: the robot.
+        y: q (nq,), m and rad, and p (nv,), N s and N m s.
+
+    Returns:
+        `State(q (nq,), v (nv,))`, m/s and rad/s.
 
     Raises:
         InputError: as `to_canonical`.

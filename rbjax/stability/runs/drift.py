@@ -222,6 +222,9 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
         ts: (T,) increasing times. After an early end of a run of `drift` they are nan.
         xs: (T,) the series.
 
+    Returns:
+        `Trend`, in the unit of xs per second.
+
     Raises:
         InputError: wrong shapes, values that are not finite, times that do not increase, or fewer
             than 16 samples.

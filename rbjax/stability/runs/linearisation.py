@@ -186,9 +186,18 @@ def _matrices(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) 
 
 
 def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray:
-    """Compute `state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv).
+    """Compute the `state_matrix` at each state of a motion.
 
-    ctrl is (nu,), (T, nu) or None.
+    Args:
+        model: the robot.
+        states: `State(q (T, nq), v (T, nv))`.
+        ctrl: (nu,), (T, nu) or None.
+
+    Returns:
+        (T, 2 nv, 2 nv), 1/s, in SI units.
+
+    Raises:
+        InputError: not a model or states, or wrong shapes.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -224,6 +233,9 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         state: initial guess; its velocity is not used.
         ctrl: (nu,), or None.
         steps: largest number of iterations.
+
+    Returns:
+        `State` at rest.
 
     Raises:
         InputError: no equilibrium is found; wrong shapes, values that are not finite.

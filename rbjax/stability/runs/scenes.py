@@ -206,6 +206,7 @@ class Scene:
     """A system, its initial state, and 200 samples of `every` equal steps each.
 
     Fields:
+        title, system: description, and `Arm` or `Body`.
         start: (q, v) of an arm, or (quaternion, w) of a body.
         dt, every: step, s, and number of steps between samples.
         refine: number of steps of the reference in one dt.
@@ -334,11 +335,9 @@ def scenes() -> dict[str, Scene]:
         ((0.5, -0.5), (0.0, 0.0)), refine=64,
     )  # fmt: skip
     out["damping"] = Scene(
-        "joint damping of 1e3 N m s/rad",
-        Arm(damping=(1e3, 1e3)),
-        ((1.0, 0.5), (0.0, 0.0)),
+        "joint damping of 1e3 N m s/rad", Arm(damping=(1e3, 1e3)), ((1.0, 0.5), (0.0, 0.0)),
         refine=64,
-    )
+    )  # fmt: skip
     out["tiny_body"] = Scene(
         "1e-6 kg, damped, on an arm of 10 kg",
         Arm(mass=(10.0, 1e-6), damping=(0.0, 1e-2)),

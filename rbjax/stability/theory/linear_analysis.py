@@ -73,6 +73,13 @@ def order_by_conditions(solver: Method) -> int:
     simplifying assumptions B(p), C(eta), D(zeta) prove. A `StabilityFunction` has only an order on
     linear problems. The argument is as in `linear_analysis`.
 
+    Args:
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+
+    Returns:
+        The order.
+
     Example:
         >>> import rbjax as rb
         >>> rb.stability.order_by_conditions("rk4"), rb.stability.order_by_conditions("bdf3")

@@ -242,6 +242,13 @@ def adams(order: int, implicit: bool) -> Characteristic:
 
     The implicit methods of order 1 and 2 are backward Euler and the trapezoidal rule.
 
+    Args:
+        order: from 1.
+        implicit: whether it is Adams-Moulton.
+
+    Returns:
+        A `Characteristic`.
+
     Raises:
         InputError: an order below 1.
 
@@ -270,6 +277,12 @@ def adams(order: int, implicit: bool) -> Characteristic:
 def backward_differentiation(order: int) -> Characteristic:
     """Return the BDF sum_j (1/j) nabla^j y = h f of an order from 1. Orders above 6 are unstable.
 
+    Args:
+        order: from 1.
+
+    Returns:
+        A `Characteristic`.
+
     Raises:
         InputError: an order below 1.
 
@@ -289,6 +302,12 @@ def backward_differentiation(order: int) -> Characteristic:
 
 def pece(order: int) -> Characteristic:
     """Return the PECE method: predictor Adams-Bashforth of order - 1, corrector Adams-Moulton.
+
+    Args:
+        order: from 2.
+
+    Returns:
+        A `Characteristic`.
 
     Raises:
         InputError: an order below 2.

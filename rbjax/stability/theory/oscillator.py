@@ -124,10 +124,9 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
     """Measure the growth factors of y in one step of the code on y' = lambda y, z = h lambda.
 
     Args:
-        solver: a name of `rb.solvers.all()`, a diffrax solver of vector fields, or an
-            `rb.solvers.Tableau`. For a `StabilityFunction` or a `Characteristic` the factors are
-            its roots.
-        z: (...) complex.
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+        z: (...), complex, no unit.
 
     Returns:
         (..., k) complex: R(z) of a one-step method; all roots, largest first, of a multistep
@@ -208,6 +207,15 @@ def _sorted(factors: np.ndarray) -> np.ndarray:
 def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
     """Measure the modulus of the largest growth factor on an oscillation with h omega (...).
 
+    Args:
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+        h_omega: (...), h omega, rad.
+        damping_ratio: damping over critical damping, no unit.
+
+    Returns:
+        (...), no unit.
+
     Example:
         >>> import rbjax as rb
         >>> solver = rb.solvers.generalized_alpha(0.8)
@@ -231,9 +239,9 @@ def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
     xi' = -ln |zeta| / arg zeta, with the factor zeta that approximates exp(i Omega).
 
     Args:
-        solver: as in `oscillator_factors`.
-        h_omega: (...) Omega = h omega, below pi, because larger steps do not resolve the
-            oscillation.
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+        h_omega: (...), h omega, rad; below pi, because larger steps do not resolve the oscillation.
 
     Returns:
         (...) damping ratio; negative if the method adds energy, nan if no factor oscillates.
@@ -252,8 +260,15 @@ def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
 def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
     """Measure the period elongation (T' - T) / T of one step on an undamped oscillation.
 
-    (T' - T) / T = Omega / arg zeta - 1. Newmark's average acceleration has Omega^2 / 12. Arguments
-    and nan values are as in `dissipation`.
+    (T' - T) / T = Omega / arg zeta - 1. Newmark's average acceleration has Omega^2 / 12.
+
+    Args:
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+        h_omega: (...), h omega, rad; below pi, because larger steps do not resolve the oscillation.
+
+    Returns:
+        (...), no unit; nan if no factor oscillates.
 
     Example:
         >>> import rbjax as rb
@@ -270,6 +285,14 @@ def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
     theory. Otherwise, as for methods of q' = v, v' = a, it is measured by bisection on a step of
     the code. The measurement allows |zeta| to exceed one by 1e-7, and limits below `highest` / 500
     are zero.
+
+    Args:
+        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
+            `stability_function` or `characteristic`.
+        highest: largest h omega that is tested, rad.
+
+    Returns:
+        h omega, rad; inf if it is above `highest`.
 
     Example:
         >>> import rbjax as rb

@@ -49,7 +49,23 @@ ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
 
 
 def real_limit(method: Method) -> float:
-    """Return the least x <= 0 such that the method is stable on [x, 0]. -inf means no limit."""
+    """Return the least x <= 0 such that the method is stable on [x, 0]. -inf means no limit.
+
+    Args:
+        method: a `StabilityFunction` or a `Characteristic`, as from `characteristic(solver)`.
+
+    Returns:
+        x, no unit.
+
+    Raises:
+        InputError: not a `StabilityFunction` or a `Characteristic`.
+
+    Example:
+        >>> from rbjax.stability import real_limit
+        >>> from rbjax.stability import characteristic
+        >>> round(real_limit(characteristic("rk4")), 4)
+        -2.7853
+    """
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         p, q = (_mirrored(x) for x in (method.numerator, method.denominator))
@@ -69,7 +85,23 @@ def real_limit(method: Method) -> float:
 
 
 def imaginary_limit(method: Method) -> float:
-    """Return the largest y >= 0 such that the method is stable on i [0, y]. inf means no limit."""
+    """Return the largest y >= 0 such that the method is stable on i [0, y]. inf means no limit.
+
+    Args:
+        method: a `StabilityFunction` or a `Characteristic`, as from `characteristic(solver)`.
+
+    Returns:
+        y, no unit.
+
+    Raises:
+        InputError: not a `StabilityFunction` or a `Characteristic`.
+
+    Example:
+        >>> from rbjax.stability import imaginary_limit
+        >>> from rbjax.stability import characteristic
+        >>> round(imaginary_limit(characteristic("rk4")), 4)
+        2.8284
+    """
     method = _simplest(method)
     if isinstance(method, StabilityFunction):
         excess = modulus_excess(method)
@@ -93,7 +125,23 @@ def imaginary_limit(method: Method) -> float:
 
 
 def alpha_degrees(method: Method) -> float:
-    """Return the angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
+    """Return the angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite.
+
+    Args:
+        method: a `StabilityFunction` or a `Characteristic`, as from `characteristic(solver)`.
+
+    Returns:
+        The angle, degrees.
+
+    Raises:
+        InputError: not a `StabilityFunction` or a `Characteristic`.
+
+    Example:
+        >>> from rbjax.stability import alpha_degrees
+        >>> from rbjax.stability import characteristic
+        >>> alpha_degrees(characteristic("radau_iia2"))
+        90.0
+    """
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return 0.0
@@ -112,7 +160,23 @@ def alpha_degrees(method: Method) -> float:
 
 
 def stiff_stability(method: Method) -> float:
-    """Return the least D such that the method is stable for Re z <= -D; inf if there is none."""
+    """Return the least D such that the method is stable for Re z <= -D; inf if there is none.
+
+    Args:
+        method: a `StabilityFunction` or a `Characteristic`, as from `characteristic(solver)`.
+
+    Returns:
+        D, no unit.
+
+    Raises:
+        InputError: not a `StabilityFunction` or a `Characteristic`.
+
+    Example:
+        >>> from rbjax.stability import stiff_stability
+        >>> from rbjax.stability import characteristic
+        >>> stiff_stability(characteristic("radau_iia2"))
+        0.0
+    """
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return math.inf
@@ -143,6 +207,23 @@ def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
     """Return the modulus of the largest growth factor on a grid of z = h lambda = x + i y.
 
     The array is (len(y), len(x)). The method is stable at z if the value is at most one.
+
+    Args:
+        method: a `StabilityFunction` or a `Characteristic`, as from `characteristic(solver)`.
+        x: (nx,), real parts of z, no unit.
+        y: (ny,), imaginary parts of z, no unit.
+
+    Returns:
+        (ny, nx), no unit.
+
+    Raises:
+        InputError: a method without linear theory, or x or y that are not one-dimensional.
+
+    Example:
+        >>> from rbjax.stability import stability_region
+        >>> from rbjax.stability import characteristic
+        >>> stability_region(characteristic("euler"), [-1.0, 1.0], [0.0]).tolist()
+        [[0.0, 2.0]]
     """
     _check(method)
     x = real_array("stability_region", "x", x, ndim=1)

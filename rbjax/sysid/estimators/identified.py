@@ -230,7 +230,7 @@ def free_run(
             or 1.
 
     Returns:
-        Recording -> sensor -> `Trace`, with `residual`.
+        Recording -> sensor -> `Trace`, with `residual`, in SI units.
 
     Raises:
         InputError: recordings that do not match the model, or noise without a recorded sensor.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -21,13 +20,13 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.arguments import instance, integer
-from rbjax.display import displayed
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.data.recording_checks import FAR, hampel
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.staged_fit import FIRST_WEIGHTS
+from rbjax.sysid.judgement.causes import Cause, Diagnosis
 from rbjax.sysid.judgement.corrections import (
     Correction,
     Lost,
@@ -51,28 +50,6 @@ DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
 REPEATS = 3  # largest number of alternations of correction and fit
 
 
-@dataclass(frozen=True)
-class Cause:
-    """One mistake in the recordings.
-
-    Fields:
-        kind: "sign", "swap", "clock", "outliers" or "dead".
-        channels, columns: names of the affected channels and columns.
-        before, after: error without and with the correction.
-        sentence: description for users.
-    """
-
-    kind: str
-    channels: tuple[str, ...]
-    columns: tuple[str, ...]
-    before: float
-    after: float
-    sentence: str
-
-    def __str__(self) -> str:
-        return self.sentence
-
-
 class Hypothesis(NamedTuple):
     """A possible mistake in the recordings, and its correction."""
 
@@ -81,25 +58,6 @@ class Hypothesis(NamedTuple):
     columns: tuple[str, ...]
     correction: Correction
     words: str
-
-
-@displayed
-@dataclass(frozen=True)
-class Diagnosis:
-    """The mistakes in the recordings of a fit.
-
-    Fields:
-        causes: the mistakes, sorted by the reduction of the error.
-        recordings: the recordings with all corrections.
-    """
-
-    causes: tuple[Cause, ...]
-    recordings: tuple[Recording, ...]
-
-    def summary(self) -> str:
-        """Return the causes as text, one sentence a line."""
-        none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
-        return "\n".join(map(str, self.causes)) or none + "error"
 
 
 @in_double
@@ -113,6 +71,9 @@ def diagnose(found: Identified, *, max_evaluations: int = 15, progress: bool = F
 
     Returns:
         `Diagnosis`, with the corrected recordings for a new fit.
+
+    Raises:
+        InputError: not the result of `identify`, or a number of evaluations below 1.
 
     Example:
         >>> import rbjax as rb, numpy as np

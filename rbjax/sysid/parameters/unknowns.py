@@ -123,7 +123,7 @@ class Inertia:
 
     Example:
         >>> from rbjax.sysid import Inertia
-        >>> Inertia('thigh').body
+        >>> Inertia("thigh").body
         'thigh'
     """
 
@@ -169,7 +169,7 @@ class Shared:
     Example:
         >>> from rbjax.sysid import Shared
         >>> from rbjax.sysid import Unknown
-        >>> legs = Unknown('bodies.mass', 0), Unknown('bodies.mass', 3)
+        >>> legs = Unknown("bodies.mass", 0), Unknown("bodies.mass", 3)
         >>> len(Shared(legs).members)
         2
     """
@@ -209,7 +209,7 @@ class FixedTotal:
 
     Example:
         >>> from rbjax.sysid import FixedTotal
-        >>> FixedTotal('bodies.mass', (0, 1, 2), total=12.5).total
+        >>> FixedTotal("bodies.mass", (0, 1, 2), total=12.5).total
         12.5
     """
 

@@ -124,6 +124,9 @@ def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
         rates: (..., drives), rad/s. For a differential it is the speed of its cage.
         steering: (..., steerings), the steering angles, rad; None for a robot without steerings.
 
+    Returns:
+        (..., 3), m/s, m/s and rad/s.
+
     Raises:
         InputError: the drives do not determine the motion; a wrong number of rates or of angles.
 
@@ -291,6 +294,9 @@ def mean_twists(t: Any, poses: Any) -> jax.Array:
     Args:
         t: (T,), increasing, s.
         poses: (T, 3), with the yaw not wrapped.
+
+    Returns:
+        (T - 1, 3), m/s, m/s and rad/s.
 
     Raises:
         InputError: wrong shapes, values that are not finite, times that do not increase.

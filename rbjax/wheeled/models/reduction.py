@@ -97,7 +97,7 @@ def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
         ctrl: (nu,), the controls as for `rates`; zeros if None.
 
     Returns:
-        `Reduced(S, M, C, B, f, tau)`.
+        `Reduced(S, M, C, B, f, tau)`, in SI units.
 
     Raises:
         InputError: a robot that slips or has no inertia, wrong shapes.

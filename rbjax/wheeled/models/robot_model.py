@@ -269,7 +269,7 @@ def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
         ctrl: (nu,), the controls as for `rates`.
 
     Returns:
-        `Contacts`.
+        `Contacts`, in N and m/s.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, another fidelity.

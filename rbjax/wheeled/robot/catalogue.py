@@ -186,7 +186,31 @@ def with_trailers(
 ) -> Robot:  # fmt: skip
     """Add trailers, one behind the other, each with one axle at its origin.
 
-    hitch: the distance of a coupling behind the origin of the body ahead, m; 0 is on the axle.
+    Args:
+        robot: the robot that pulls.
+        number: of trailers.
+        hitch: distance of a coupling behind the origin of the body ahead, m; 0 is on the axle.
+        drawbar: distance of the coupling ahead of the trailer's origin, m.
+        track: distance of the two wheels of an axle, m.
+        radius: of the wheels, m.
+        mass: of a trailer without wheels, kg.
+        inertia: about the vertical through the centre of mass, kg m^2.
+        com: (2,), centre of mass, m.
+        wheel_mass: kg.
+        height: of the centre of mass above the ground, m.
+
+    Returns:
+        The `Robot` with trailers.
+
+    Raises:
+        InputError: not a `Robot`, a negative number, or a length that is not positive.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.wheeled import with_trailers
+        >>> car = rb.wheeled.kinds()["car"].make()
+        >>> len(with_trailers(car, 2).bodies)
+        3
     """
     where = "with_trailers"
     instance(where, "robot", robot, Robot, "rb.wheeled.Robot")

@@ -153,6 +153,12 @@ def traction_along(
             (cos 45, sin 45 degrees) for one hand of mecanum wheels, (1, 0) for an omni wheel whose
             rollers let it slide sideways.
 
+    Returns:
+        mu along x and y of the wheel: the forces over the load, no unit.
+
+    Raises:
+        InputError: not a `Tyre`, or a direction that is not two numbers.
+
     Example:
         >>> import rbjax as rb
         >>> rubber = rb.wheeled.Linear(10.0)
