@@ -87,7 +87,8 @@ def ordered(folder: Path) -> list[Path]:
         if not target.is_relative_to(folder.resolve()) or target == index.resolve():
             continue
         entry = folder / target.relative_to(folder.resolve()).parts[0]
-        if entry.suffix in ("", ".md") and entry.exists() and entry not in first:
+        pages = entry.suffix == ".md" or (entry.is_dir() and any(entry.rglob("*.md")))
+        if pages and entry.exists() and entry not in first:  # a folder of pictures has none
             first.append(entry)
     rest = [p for p in folder.iterdir() if p != index and p not in first]
     rest = [p for p in rest if p.suffix == ".md" or (p.is_dir() and any(p.rglob("*.md")))]
