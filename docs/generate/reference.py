@@ -14,6 +14,7 @@ EXTRA = [
     "- [Registries](registries/index.md): joints, forces, contact laws, constraints, solvers, "
     "sensors, wheels, beams, tasks, methods",
     "- [Command line](command_line.md): `rbjax` and its commands",
+    "- [Features](features.md): what works, by subject",
     "- [Robot files](files.md): what of MJCF and URDF is supported",
     "- [Errors](errors.md): exceptions, and failure inside compiled code",
     "",

@@ -61,7 +61,10 @@ TOP = {
         "applied_forces", "tendon_lengths", "tendon_jacobian", "sense",
     ),
     "Compile": ("threads", "compile", "compiler_options", "operation_count"),
-    "Errors": ("RbjaxError", "InputError", "ModelError", "UnknownName", "UnsupportedFeature"),
+    "Errors": (
+        "RbjaxError", "InputError", "ModelError", "UnknownName", "UnsupportedFeature",
+        "MissingPackage",
+    ),
 }  # fmt: skip
 
 #: modules that come first in a room, in this order; the others follow as `__all__` has them
@@ -94,6 +97,27 @@ FIRST = {
     "wheeled": ("robot.catalogue", "robot", "registry", "models", "motion", "kinematics",
                 "tyres"),
 }  # fmt: skip
+
+
+#: headings of modules whose docstring begins with something else
+HEADINGS = {
+    "body.formulation_types": "Formulations of one body's motion",
+    "contact.contact_solution": "The contact problem at a state",
+    "control.optimal.solver": "Solve",
+    "dynamics.algorithms.energy": "Energy, centre of mass, momentum",
+    "dynamics.algorithms.frames": "Frames: pose, twist, Jacobian",
+    "envs.terms.tolerance": "Tolerance",
+    "flexible.reference.protocol": "The protocol of a beam element",
+    "forces.acting": "Applied forces",
+    "forces.context": "The state of motion that elements read",
+    "joints.node": "Nodes",
+    "sensors.columns": "Columns of readings",
+    "solvers.second_order": "Methods for q'' = a(t, q, q')",
+    "solvers.root_finding": "Root finding",
+    "spatial.mass": "Mass, centre of mass, inertia",
+    "spatial.shapes": "Shapes",
+    "spatial.vectors": "Motions, forces, transforms, inertias",
+}
 
 
 @dataclass(frozen=True)
@@ -219,11 +243,19 @@ def heading(module: str) -> str:
     """The subject of a module: the first clause of its docstring."""
     if not module.startswith("rbjax"):
         return "Types"
+    if known := HEADINGS.get(module.removeprefix("rbjax.")):
+        return known
     sentence = first_sentence(importlib.import_module(module).__doc__ or module)
-    sentence = re.sub(r"^`[^`]*`(?: and `[^`]*`)?[:,] ", "", sentence)
-    clause = re.split(r"[:;]| \(|, | for | by | in | of one | with | from | as a ", sentence)
-    short = sentence if len(sentence) <= 44 else clause[0]
-    short = short.rstrip(".")
+    sentence = re.sub(r"^`[^`]*`(?: and `[^`]*`)?[:,] ", "", sentence).rstrip(".")
+    short = re.split(r"[:;] | \(", sentence)[0]
+    if len(short) > 56:
+        parts = re.split(r"(?=, | for | by | in | with | from | as a | that | at )", short)
+        short = parts[0]
+        for part in parts[1:]:
+            if len(short + part) > 56 and len(short.split()) > 2:
+                break
+            short += part
+        short = re.sub(r",?(?: (?:or|and|each|made|called|solved|together|the same))*$", "", short)
     return short[0].upper() + short[1:]
 
 

@@ -1,4 +1,4 @@
-"""The style sheet of the site, in the colours of rbjax's pictures."""
+"""The style sheet and the logo of the site, in the colours of rbjax's pictures."""
 
 from __future__ import annotations
 
@@ -101,8 +101,23 @@ SHEET = Template("""\
 """)
 
 
+#: an arm of two links on a base
+LOGO = Template("""\
+<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64">
+  <g fill="none" stroke-linecap="round" stroke-width="9">
+    <path d="M16 52 L28 22" stroke="$blue"/>
+    <path d="M28 22 L52 32" stroke="$orange"/>
+  </g>
+  <path d="M6 58 H30" stroke="$grey" stroke-linecap="round" stroke-width="6"/>
+  <circle cx="28" cy="22" r="3.5" fill="$paper"/>
+  <circle cx="16" cy="52" r="3.5" fill="$paper"/>
+</svg>
+""")
+
+
 def pages(root: Path) -> tree.Pages:
-    """The sheet, which mkdocs.yml names."""
+    """The sheet and the logo, which mkdocs.yml names."""
     colours = {"blue": style.BLUE, "orange": style.ORANGE, "paper": style.PAPER}
     lighter = {"light_blue": LIGHT_BLUE, "light_orange": LIGHT_ORANGE}
-    return {"style/rbjax.css": SHEET.substitute(colours | lighter)}
+    logo = LOGO.substitute(colours, grey="#8a97a3")
+    return {"style/rbjax.css": SHEET.substitute(colours | lighter), "style/logo.svg": logo}

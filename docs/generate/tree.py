@@ -87,12 +87,14 @@ def ordered(folder: Path) -> list[Path]:
         if not target.is_relative_to(folder.resolve()) or target == index.resolve():
             continue
         entry = folder / target.relative_to(folder.resolve()).parts[0]
-        pages = entry.suffix == ".md" or (entry.is_dir() and any(entry.rglob("*.md")))
-        if pages and entry.exists() and entry not in first:  # a folder of pictures has none
+        if _has_pages(entry) and entry not in first:
             first.append(entry)
-    rest = [p for p in folder.iterdir() if p != index and p not in first]
-    rest = [p for p in rest if p.suffix == ".md" or (p.is_dir() and any(p.rglob("*.md")))]
+    rest = [p for p in folder.iterdir() if _has_pages(p) and p != index and p not in first]
     return first + sorted(rest, key=_sort_key)
+
+
+def _has_pages(entry: Path) -> bool:
+    return (entry.is_file() and entry.suffix == ".md") or any(entry.rglob("*.md"))
 
 
 def _sort_key(entry: Path) -> str:
