@@ -19,6 +19,17 @@
 # brings a cart-pole's cart to a mark, and which mass explains a measured swing.
 
 # %%
+# Where rbjax is missing, as on Colab: install the wheel in this folder, or from the package index.
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+if importlib.util.find_spec("rbjax") is None:
+    newest = max([f"./{path}" for path in Path().glob("rbjax-*.whl")], default="rbjax")
+    subprocess.run([sys.executable, "-m", "pip", "install", "-q", f"{newest}[plots]"], check=True)
+
+# %%
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt

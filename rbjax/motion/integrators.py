@@ -16,6 +16,7 @@ from __future__ import annotations
 import functools
 from typing import Any, Protocol
 
+import chex
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -181,14 +182,13 @@ def advance_state(
         if not isinstance(field.dynamics, VelocityDynamics):
             *_, error = field.rates_and_error(t, state, u)
         after = State(after.q, after.v, after.x, after.memory, field.report(state, error))
-    due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
-    found = jax.tree.leaves(after)
-    tree: Any = jax.tree.structure(after)
-    alike = tree == jax.tree.structure(state)
-    if not alike or [(jnp.shape(x), getattr(x, "dtype", None)) for x in found] != due:
-        got = [getattr(x, "shape", type(x).__name__) for x in found]
+    try:
+        chex.assert_trees_all_equal_shapes_and_dtypes(state, after)
+    except (AssertionError, AttributeError) as error:  # a leaf that is not an array has no shape
+        got = [getattr(x, "shape", type(x).__name__) for x in jax.tree.leaves(after)]
         raise InputError(
             f"an integrator returned {type(after).__name__} of {got}, expected a State of "
-            f"{[shape for shape, _ in due]} in {state.q.dtype}, as the state that it was given"
-        )
+            f"{[x.shape for x in jax.tree.leaves(state)]} in {state.q.dtype}, as the state that it "
+            "was given"
+        ) from error
     return field.project(t + dt, after.replace(x=field.within(after.x)))

@@ -348,3 +348,14 @@ def test_turns_of_a_radian_and_more_a_step_are_those_of_the_method_itself(method
     np.testing.assert_allclose(path.v[: len(due), 3:], due, rtol=1e-6)
     assert np.isfinite(path.q[: len(due)]).all()
     assert bool(path.ok) == (len(due) == steps + 1)
+
+
+@pytest.mark.parametrize("given", ["another tree", "a Python number"])
+def test_an_integrator_that_returns_no_state(given):
+    model = rb.load("pendulum")
+
+    def wrong(field, t, state, u, dt):
+        return (state.q, state.v) if given == "another tree" else rb.State(1.0, state.v)
+
+    with pytest.raises(rb.InputError, match=r"returned .* expected a State of \[\(1,\), \(1,\)\]"):
+        rb.step(model, model.default_state(), None, 0.1, integrator=wrong)

@@ -1,4 +1,4 @@
-"""Compiles CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`.
+"""Compiles CUDA C to PTX by NVRTC, which comes with JAX for CUDA.
 
 PTX is cached on disk next to JAX's own compilation cache, if that is enabled.
 """
