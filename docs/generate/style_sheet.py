@@ -32,8 +32,7 @@ SHEET = Template("""\
   vertical-align: top;
 }
 
-.md-typeset table:not([class]) td:first-child code,
-.md-typeset table:not([class]) td a code {
+.md-typeset table:not([class]) td code {
   white-space: nowrap;
 }
 
