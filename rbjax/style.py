@@ -68,3 +68,14 @@ def axes_of(
                 "matplotlib.pyplot.gca()"
             )
     return ax
+
+
+def is_dark(figure: Any) -> bool:
+    """Return whether the background of a figure, or of an axis with a frame, is dark."""
+    red, green, blue, opacity = figure.patch.get_facecolor()
+    return opacity > 0.5 and 0.3 * red + 0.6 * green + 0.1 * blue < 0.4
+
+
+def legend(ax: Any, **options: Any) -> None:
+    """Add a legend without a frame, in the colour of the labels of the axis."""
+    ax.legend(frameon=False, labelcolor=ax.xaxis.label.get_color(), **options)

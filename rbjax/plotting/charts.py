@@ -10,7 +10,7 @@ from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.arguments import coordinates
-from rbjax.style import axes_of
+from rbjax.style import axes_of, legend
 
 
 def time_plot(ts: Any, q: Any, v: Any = None, *, names: Sequence[str] = (), ax: Any = None) -> Any:
@@ -56,5 +56,5 @@ def time_plot(ts: Any, q: Any, v: Any = None, *, names: Sequence[str] = (), ax: 
             one.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)
         one.set(xlabel="time [s]", ylabel=label)
     if names:
-        axes[0].legend(ncols=2)
+        legend(axes[0], ncols=2)
     return axes

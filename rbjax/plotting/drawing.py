@@ -25,13 +25,14 @@ from rbjax.plotting.film import Camera, Film, film
 from rbjax.plotting.flexible_links import tubes
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
-from rbjax.style import BLUE, GRID, RED, axes_of, rgb
+from rbjax.style import BLUE, GRID, RED, axes_of, is_dark, rgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = np.ndarray
-GROUND = "#f4f6f8"
+#: colours of the ground, of its grid and of shadows, on light and on dark backgrounds
+GROUNDS = (("#f4f6f8", GRID, "#e3e7eb"), ("#20272e", "#39434d", "#14191e"))
 #: the opacity of the samples after the first
 FADED = 0.22
 
@@ -153,7 +154,7 @@ def draw_solids(
         >>> len(draw_solids(solids("pendulum"), R, p, ax=ax, shadow=False).patches)
         3
     """
-    ax = axes_of("draw_solids", ax)
+    new, ax = ax is None, axes_of("draw_solids", ax)
     R, p = check_solids("draw_solids", shapes, R, p, alpha)
     camera, Polygon = camera or Camera(), require("draw", "matplotlib.patches").Polygon
     if shadow:
@@ -162,6 +163,10 @@ def draw_solids(
     for depth, one in enumerate(outlines(shapes, R, p, camera, alpha=alpha, world=world)):
         style: Any = {"facecolor": one.face, "edgecolor": one.edge, "zorder": zorder + 1e-3 * depth}
         ax.add_patch(Polygon(one.points, lw=0.7, joinstyle="round", **style))
+    if new:
+        ax.set_aspect("equal")
+        ax.autoscale_view()
+        ax.axis("off")
     return ax
 
 
@@ -172,10 +177,11 @@ class Stage:
         self.ax, self.film = ax, film
         artists = require("draw", "matplotlib.collections")
         PolyCollection, LineCollection = artists.PolyCollection, artists.LineCollection
-        self.disc = PolyCollection([], facecolors=GROUND, linewidths=0, zorder=0)
-        self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
+        ground, grid, shadow = GROUNDS[is_dark(ax.figure)]
+        self.disc = PolyCollection([], facecolors=ground, linewidths=0, zorder=0)
+        self.grid = LineCollection([], colors=grid, linewidths=0.8, zorder=0.5)
         # opaque, so that overlapping shadows do not become darker
-        self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
+        self.shadow = PolyCollection([], facecolors=shadow, linewidths=0, zorder=1)
         first = [(*rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
         self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
         self.forces = LineCollection([], colors=RED, linewidths=1.8, zorder=4)
@@ -300,9 +306,6 @@ def draw(
     q = real_array("draw", "q", coordinates(q), finite=False).astype(model.joints.reference.dtype)
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
-    if ax is None:
-        plt = require("draw", "matplotlib.pyplot")
-        ax = plt.subplots(figsize=(6, 5), layout="constrained")[1]
     shapes = shapes_of(model, source)
     shown = film(model, np.zeros(1), q[None, None], shapes, camera=camera)
     ax = axes_of("draw", ax)

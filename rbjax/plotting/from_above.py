@@ -11,7 +11,7 @@ import numpy as np
 from rbjax.compiling import compiled
 from rbjax.model import State
 from rbjax.optional import require
-from rbjax.style import BLUE, GRID, INK, RED
+from rbjax.style import BLUE, GRID, INK, RED, is_dark
 from rbjax.wheeled.kinematics.parameters import stack_lanes
 from rbjax.wheeled.kinematics.planar import rotate
 from rbjax.wheeled.models.robot_model import RobotModel, contacts
@@ -109,11 +109,12 @@ class Drawing:
         self.robot = robot
         collections = require("top_view", "matplotlib.collections")
         PolyCollection, LineCollection = collections.PolyCollection, collections.LineCollection
-        faces = [GRID if w.kind == "caster" else INK for w in robot.wheels]
-        self.bodies = PolyCollection([], facecolors="none", edgecolors=INK, lw=1, zorder=zorder)
-        self.lines = LineCollection([], colors=INK, lw=0.8, zorder=zorder)
-        self.wheels = PolyCollection([], facecolors=faces, edgecolors=INK, zorder=zorder + 1)
-        self.rollers = LineCollection([], colors=GRID, lw=1, zorder=zorder + 2)
+        ink, pale = (GRID, INK) if is_dark(ax) else (INK, GRID)
+        faces = [pale if w.kind == "caster" else ink for w in robot.wheels]
+        self.bodies = PolyCollection([], facecolors="none", edgecolors=ink, lw=1, zorder=zorder)
+        self.lines = LineCollection([], colors=ink, lw=0.8, zorder=zorder)
+        self.wheels = PolyCollection([], facecolors=faces, edgecolors=ink, zorder=zorder + 1)
+        self.rollers = LineCollection([], colors=pale, lw=1, zorder=zorder + 2)
         for collection in (self.bodies, self.lines, self.wheels, self.rollers):
             ax.add_collection(collection)
 

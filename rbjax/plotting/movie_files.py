@@ -15,6 +15,7 @@ import numpy as np
 from rbjax.errors import InputError, RbjaxError
 from rbjax.optional import require
 from rbjax.progress import progress_bar
+from rbjax.style import PAPER
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -158,7 +159,7 @@ def schedule(
 def canvas_of(size: tuple[int, int]) -> tuple[FigureCanvasAgg, Figure]:
     """Make a canvas of a size in pixels, and its figure."""
     Figure = require("animate", "matplotlib.figure").Figure
-    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI, facecolor=PAPER)
     return require("animate", "matplotlib.backends.backend_agg").FigureCanvasAgg(figure), figure
 
 

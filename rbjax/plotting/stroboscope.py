@@ -12,9 +12,9 @@ from rbjax.model import Model
 from rbjax.optional import require
 from rbjax.plotting.arguments import configurations
 from rbjax.plotting.contact_arrows import strokes, with_arrows
-from rbjax.plotting.drawing import GROUND, draw_solids, shapes_of
+from rbjax.plotting.drawing import GROUNDS, draw_solids, shapes_of
 from rbjax.plotting.film import Camera, film, poses
-from rbjax.style import ORANGE, RED, axes_of
+from rbjax.style import ORANGE, RED, axes_of, is_dark
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +116,9 @@ def strobe(
         low, high = p[..., :2].min((0, 1)), p[..., :2].max((0, 1))
         x, y = np.array([low, high]).T + _AROUND * np.ptp(p[-1, :, 2]) * np.array([-1, 1])
         corners = [[x[0], y[0], 0], [x[1], y[0], 0], [x[1], y[1], 0], [x[0], y[1], 0]]
-        ax.fill(*(np.array(corners) @ axes.T).T, color=GROUND, lw=0, zorder=0)
+        ax.fill(
+            *(np.array(corners) @ axes.T).T, color=GROUNDS[is_dark(ax.figure)][0], lw=0, zorder=0
+        )
     if contacts is not None:
         shown = film(model, np.zeros(1), q[None, -1:], shapes, camera=camera)
         shown = with_arrows("strobe", shown, model, contacts)

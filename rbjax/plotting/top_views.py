@@ -27,7 +27,7 @@ from rbjax.plotting.from_above import (
     wheel_forces,
 )
 from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
-from rbjax.style import GRID, INK, ORANGE, axes_of
+from rbjax.style import GRID, INK, ORANGE, STYLE, axes_of
 from rbjax.wheeled.models.robot_model import RobotModel
 
 if TYPE_CHECKING:
@@ -181,7 +181,9 @@ class _Film:
     ) -> Iterator[np.ndarray]:
         canvas, figure = canvas_of(size)
         left, below = (min(0.3, 60 / pixels) for pixels in size)
-        ax = figure.add_axes((left, below, 0.96 - left, 0.92 - below))
+        top = 0.98 - (min(0.2, 36 / size[1]) if title else 0.0)
+        with require("animate_top_view", "matplotlib").rc_context(STYLE):
+            ax = figure.add_axes((left, below, 0.96 - left, top - below))
         _ground(ax, grid)
         ax.set(xlabel="x [m]", ylabel="y [m]", title=title)
         ax.set_aspect("equal")
@@ -235,8 +237,9 @@ def _ground(ax: Axes, grid: Any) -> None:
     (nx, ny), h = grid.occupied.shape, float(grid.resolution)
     x, y = (float(a) for a in grid.origin)
     extent = (x, x + nx * h, y, y + ny * h)
-    cells = np.asarray(grid.occupied, float).T
-    ax.imshow(cells, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=2, zorder=0)
+    occupied = np.asarray(grid.occupied, bool).T
+    cells = np.ma.masked_array(np.full(occupied.shape, 0.5), ~occupied)  # free cells are clear
+    ax.imshow(cells, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1, zorder=0.7)
 
 
 def _scale(model: RobotModel, arrows: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Method, characteristic
 from rbjax.stability.theory.oscillator import spectral_radius
 from rbjax.stability.theory.regions import stability_region
-from rbjax.style import axes_of
+from rbjax.style import axes_of, legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def plot_regions(
         ax.contour(x, y, grown, [0.0], colors=[color], linewidths=1.5)
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal",
            xlabel=r"Re $h\lambda$", ylabel=r"Im $h\lambda$")  # fmt: skip
-    ax.legend()
+    legend(ax)
     return ax
 
 
@@ -94,5 +94,5 @@ def plot_spectral_radius(
     for label, solver in methods.items():
         ax.semilogx(h_omega, spectral_radius(solver, h_omega), label=label)
     ax.set(xlabel=r"$h\omega$", ylabel=r"spectral radius $\rho$", ylim=(0, 1.1))
-    ax.legend()
+    legend(ax)
     return ax

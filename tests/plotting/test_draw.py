@@ -10,7 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.plotting.solid_shapes import _outermost
-from rbjax.style import INK, PAPER
+from rbjax.style import INK, PAPER, is_dark
 
 matplotlib.use("Agg")
 
@@ -193,3 +193,18 @@ def test_what_is_not_an_axis_is_rejected() -> None:
             rb.plotting.bare(ax=ax)
     with pytest.raises(rb.InputError, match="no polygon and no line"):
         rb.plotting.bare(ax=axis())
+
+
+@pytest.mark.parametrize("paper, dark", [("#ffffff", False), ("#000000", True), ("none", False)])
+def test_pictures_fit_the_background(paper: str, dark: bool) -> None:
+    """On a dark figure the ground is dark, and legends have the colour of the labels."""
+    figure = matplotlib.figure.Figure(facecolor=paper)
+    assert is_dark(figure) == dark
+    one, *axes = figure.subplots(3)
+    ground = rb.plotting.draw(rb.load("pendulum"), [0.5], ax=one).collections[1]
+    assert (ground.get_facecolor()[0, :3].mean() < 0.5) == dark
+    axes[0].xaxis.label.set_color("#808080")
+    rb.plotting.time_plot([0.0, 1.0], [[0.0]] * 2, [[0.0]] * 2, names=["a"], ax=axes)
+    (label,) = axes[0].get_legend().get_texts()
+    assert label.get_color() == "#808080"
+    assert not axes[0].get_legend().get_frame_on()
