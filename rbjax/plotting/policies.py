@@ -92,10 +92,11 @@ def record_policy(
     first, key = jax.random.split(jax.random.key(seed))
     obs, state = jax.vmap(env.reset, (0, None))(jax.random.split(first, samples), params)
 
-    step = jax.vmap(lambda *own: env.step(*own, params))
+    step = jax.vmap(lambda keys, state, action: env.step(keys, state, action, params))
 
     def one(carry: tuple, key: jax.Array) -> tuple:
-        _, (obs, state, reward, done, _) = batch_step(act, step, *carry, key, samples)
+        obs, state = carry
+        _, (obs, state, reward, done, _) = batch_step(act, step, obs, state, key, samples)
         return (obs, state), (_kept(state), reward, done)
 
     start = _kept(state)

@@ -17,7 +17,8 @@ def test_a_users_script_passes_mypy_strict(tmp_path: Path) -> None:
     script.write_text(SCRIPT.read_text() + "\n    rb.nothing\n    rb.mass_matrix(model)\n")
     (tmp_path / "mypy.ini").write_text(
         "[mypy]\nstrict = true\n[mypy-rbjax.*]\nignore_errors = true\n"
-        "[mypy-mujoco.*,llvmlite.*,optax.*,scipy.*,mpmath.*]\nignore_missing_imports = true\n"
+        "[mypy-chex.*,mujoco.*,llvmlite.*,optax.*,scipy.*,mpmath.*]\n"
+        "ignore_missing_imports = true\n"
     )
     child = subprocess.run(
         [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir",

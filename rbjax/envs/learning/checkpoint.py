@@ -70,7 +70,7 @@ def save_policy(
             "rb.envs.learning.network"
         )
     folder = Path(path).expanduser().absolute()
-    head = {
+    head: dict[str, Any] = {
         "format": FORMAT,
         "task": task,
         "options": dict(options or {}),

@@ -82,7 +82,7 @@ def evaluate(
     def run(params: Any) -> Episodes:
         obs, state = jax.vmap(env.reset, (0, None))(jax.random.split(one, episodes), params)
         act = policy if noise else lambda obs, key: policy(obs, None)
-        step = jax.vmap(lambda *own: env.step(*own, params))
+        step = jax.vmap(lambda keys, state, action: env.step(keys, state, action, params))
 
         def move(carry: Any, key: jax.Array) -> tuple[Any, None]:
             obs, state, found, running = carry
