@@ -70,10 +70,9 @@ test-envs: ## the adapters to learning libraries with all of them, rsl-rl and Py
 	.venv-envs/bin/pip install -qq --editable '.[test,envs,rsl]'
 	.venv-envs/bin/pytest -n $(JOBS) tests/envs/adapters rbjax/envs/adapters
 
-lint: $(STAMP) ## ruff, codespell
+lint: $(STAMP) ## ruff
 	$(BIN)/ruff check --quiet .
 	$(BIN)/ruff format --check --quiet rbjax tests
-	$(BIN)/codespell
 
 types: $(STAMP) ## mypy
 	$(BIN)/mypy

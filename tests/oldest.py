@@ -1,7 +1,7 @@
 """The oldest versions of its packages that rbjax accepts, as constraints of pip: a line a package.
 
-    python tests/oldest.py > oldest.txt
-    pip install --editable '.[test]' --constraint oldest.txt
+python tests/oldest.py > oldest.txt
+pip install --editable '.[test]' --constraint oldest.txt
 """
 
 import re
