@@ -206,5 +206,5 @@ def test_pictures_fit_the_background(paper: str, dark: bool) -> None:
     axes[0].xaxis.label.set_color("#808080")
     rb.plotting.time_plot([0.0, 1.0], [[0.0]] * 2, [[0.0]] * 2, names=["a"], ax=axes)
     (label,) = axes[0].get_legend().get_texts()
-    assert label.get_color() == "#808080"
+    assert matplotlib.colors.to_hex(label.get_color()) == "#808080"
     assert not axes[0].get_legend().get_frame_on()
