@@ -35,6 +35,18 @@ TABLES = {
         ),
         "python -m benchmarks.cpu.one_call",
     ),
+    "one call of peers": Table(
+        ("cpu-one-call-peers-*",),
+        (
+            ROBOT,
+            C("rbjax_ns", "rb.compile, us", 2, 1e-3),
+            C("pinocchio_ns", "pinocchio.aba, us", 2, 1e-3),
+            C("mjx_ns", "mjx.forward, us", 2, 1e-3),
+            C("mjx_plain_ns", "mjx.forward without fusion emitters, us", 2, 1e-3),
+        ),
+        "python -m benchmarks.cpu.one_call_peers",
+        optional=True,
+    ),
     "one robot": Table(
         ("cpu-one-robot-*",),
         (
