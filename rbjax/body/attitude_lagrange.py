@@ -7,7 +7,7 @@
 M, C and g are computed by differentiation (`lagrange`). If E_b is singular, M is singular.
 
 `QuasiLagrange`: the velocities are nu = A(q) q', which is the body twist, with q' = B(q) nu.
-Boltzmann's and Hamel's equations (Olguin Diaz, ch. 7; Hamel, 1904)
+Boltzmann's and Hamel's equations (Olguin Diaz, 7.2; Hamel, 1904)
 
     d/dt dT/dnu + B^T (A'^T - (d(A q')/dq)^T) dT/dnu - B^T dT/dq = B^T Q
 

@@ -7,7 +7,7 @@ All formulations have one interface:
     f.pose(body, y), f.twist(body, y)  pose and body twist from the state
 
 A state is (q, v) with q = [position (3), attitude]. v is velocities or momenta.
-(Olguin Diaz, ch. 6-7; Lamb, *Hydrodynamics*, 124; Featherstone, 2.14-15.)
+(Olguin Diaz, 5.4, 5.7, 6.4; Lamb, *Hydrodynamics*, 124; Featherstone, 2.14-15.)
 """
 
 from __future__ import annotations

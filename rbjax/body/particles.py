@@ -1,4 +1,4 @@
-"""Particles under ideal constraints, by the principle of D'Alembert (Olguin Diaz, ch. 7).
+"""Particles under ideal constraints, by the principle of D'Alembert (Olguin Diaz, 2.2.1).
 
 The reactions of ideal constraints phi(t, x) = 0 do no work in a virtual displacement. They are
 therefore linear combinations of the gradients of the constraints:

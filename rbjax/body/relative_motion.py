@@ -1,4 +1,4 @@
-"""Motion of points and frames relative to a moving frame (Olguin Diaz, ch. 4; Lynch & Park, ch. 8).
+"""Motion of points and frames relative to a moving frame (Olguin Diaz, 3.3.2, 3.3.3).
 
 A frame B moves in A with rotation R = R_AB, origin p, angular velocity omega, angular acceleration
 alpha, and velocity v and acceleration a of its origin, all in the axes of A. A point at r in B that

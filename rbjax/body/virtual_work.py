@@ -1,6 +1,6 @@
 """Generalized forces by virtual work: Q . dq = sum f_i . dx_i for every virtual displacement.
 
-(Olguin Diaz, ch. 7.) For forces at points, Q = J^T f with J = dx/dq. For a wrench on a body,
+(Olguin Diaz, 7.1.4.) For forces at points, Q = J^T f with J = dx/dq. For a wrench on a body,
 Q_k = F . V_k, with V_k the twist of the body if only q_k changes.
 """
 

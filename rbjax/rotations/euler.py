@@ -1,4 +1,4 @@
-"""Euler angles: all 24 sequences from one set of formulas (Olguin Diaz, 3.3; Diebel, 2006).
+"""Euler angles: all 24 sequences from one set of formulas (Olguin Diaz, 4.2, 4.3; Diebel, 2006).
 
 Intrinsic i-j-k: R = R_i(a) R_j(b) R_k(c), where each rotation is about an axis of the rotated
 frame. Extrinsic i-j-k, about fixed axes, is the intrinsic k-j-i with the angles in reverse order.

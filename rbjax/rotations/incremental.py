@@ -2,7 +2,7 @@
 
 R = R_ref R(x). The three parameters x are integrated, x' = E^-1(x) omega_body. Before x comes near
 the singularity of its representation, it is folded into the reference, R_ref <- R_ref R(x), x <- 0
-(the updated-updated scheme of Masarati, ch. 4). The reference is a unit quaternion, so a fold is
+(the updated-updated scheme of Masarati, 2.4.1). The reference is a unit quaternion, so a fold is
 one product and causes no drift.
 """
 

@@ -1,7 +1,7 @@
 """Unit quaternions w, x, y, z (Hamilton), as arrays (..., 4).
 
 exp and log are series near the identity, so that values and all derivatives are finite and exact
-(Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and -q are
+(Olguin Diaz, *3D Motion of Rigid Bodies*, 4.4; Sola, arXiv:1711.02508, eqs. 101-105). q and -q are
 the same rotation. If the sign is free, w >= 0. The functions on *lanes* are in `quaternion_lanes`.
 """
 

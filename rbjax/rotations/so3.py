@@ -2,7 +2,7 @@
 
 R = exp([phi]) rotates by |phi| about phi. R_AB maps B-coordinates to A-coordinates. exp and log use
 the unit quaternion (Shepperd's method), which keeps the digits that the trace of R loses at the
-angle pi (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
+angle pi (Olguin Diaz, 3.2.4; Sola, arXiv:1812.01537, app. B).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Twists and wrenches at points, sums of wrenches, power (Olguin Diaz, ch. 4-5).
+"""Twists and wrenches at points, sums of wrenches, power (Olguin Diaz, 6.1).
 
 If only the reference point changes, by r from O to P, with the same axes:
 
