@@ -254,7 +254,7 @@ def polynomial_sincos(x: jax.Array) -> list:
     ]
 
 
-def horner(coefficients, z):
+def horner(coefficients: Any, z: Any) -> Any:
     """Evaluate the polynomial sum_k coefficients_k z^k."""
     out = coefficients[-1]
     for a in coefficients[-2::-1]:

@@ -328,7 +328,7 @@ def adams_bashforth(order: int) -> Adams:
     return Adams(order)
 
 
-def adams_moulton(order: int, **options) -> Adams:
+def adams_moulton(order: int, **options: Any) -> Adams:
     """Return the implicit Adams method of order 2 (the trapezoidal rule) to 5.
 
     Args:
@@ -369,7 +369,7 @@ def pece(order: int) -> Adams:
     return Adams(order, "once")
 
 
-def bdf(order: int, **options) -> BDF:
+def bdf(order: int, **options: Any) -> BDF:
     """Return the BDF of order 1 (backward Euler) to 6.
 
     Args:

@@ -175,7 +175,7 @@ def _ros34pw2() -> RosenbrockTableau:
     )
 
 
-def ros2(**options) -> RosenbrockW:
+def ros2(**options: Any) -> RosenbrockW:
     """Return Verwer's Rosenbrock-W method of two stages: order 2, L-stable.
 
     Args:
@@ -192,7 +192,7 @@ def ros2(**options) -> RosenbrockW:
     return RosenbrockW(_ros2(), **options)
 
 
-def ros34pw2(**options) -> RosenbrockW:
+def ros34pw2(**options: Any) -> RosenbrockW:
     """Return Rang and Angermann's Rosenbrock-W method of four stages: order 3, L-stable.
 
     Args:

@@ -207,7 +207,7 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return weighted_sums(tuple(zip(*self.tableau.dense, strict=True)), k)
 
 
-def implicit_midpoint(**options) -> ImplicitRungeKutta:
+def implicit_midpoint(**options: Any) -> ImplicitRungeKutta:
     """Return the implicit midpoint rule y1 = y0 + h f((y0 + y1) / 2). It has order 2 and is
     A-stable, symplectic and symmetric.
 
@@ -225,7 +225,7 @@ def implicit_midpoint(**options) -> ImplicitRungeKutta:
     return ImplicitRungeKutta(tables.gauss(1), **options)
 
 
-def trapezoid(**options) -> ImplicitRungeKutta:
+def trapezoid(**options: Any) -> ImplicitRungeKutta:
     """Return the trapezoidal rule (Crank-Nicolson): order 2, A-stable, symmetric.
 
     Args:
@@ -242,7 +242,7 @@ def trapezoid(**options) -> ImplicitRungeKutta:
     return ImplicitRungeKutta(tables.lobatto_iiia(2), **options)
 
 
-def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
+def gauss_legendre(stages: int = 2, **options: Any) -> ImplicitRungeKutta:
     """Return the Gauss-Legendre method of s stages: order 2 s, A-stable, symplectic.
 
     Args:
@@ -264,7 +264,7 @@ def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
     return ImplicitRungeKutta(tables.gauss(stages), **options)
 
 
-def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
+def radau_iia(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
     """Return the Radau IIA method of s stages: order 2 s - 1, L-stable. One stage is backward
     Euler.
 
@@ -287,7 +287,7 @@ def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
 
 
-def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
+def lobatto_iiia(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
     """Return the Lobatto IIIA method of s stages: order 2 s - 2, A-stable, symmetric.
 
     Args:
@@ -309,7 +309,7 @@ def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
 
 
-def lobatto_iiic(stages: int = 3, **options) -> ImplicitRungeKutta:
+def lobatto_iiic(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
     """Return the Lobatto IIIC method of s stages: order 2 s - 2, L-stable.
 
     Args:

@@ -174,7 +174,7 @@ def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 
-def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
+def generalized_alpha(rho_inf: float = 0.9, **options: Any) -> GeneralizedAlpha:
     """Return Chung and Hulbert's generalized-alpha method of order 2.
 
     Args:
@@ -197,7 +197,7 @@ def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
 
-def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
+def newmark(beta: float = 0.25, gamma: float = 0.5, **options: Any) -> GeneralizedAlpha:
     """Return Newmark's method.
 
     The order is 2 if gamma is 1/2. A larger gamma damps. With beta 1/4 it is the average
@@ -224,7 +224,7 @@ def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlp
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
-def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
+def hht_alpha(alpha: float = -0.1, **options: Any) -> GeneralizedAlpha:
     """Return the method of Hilber, Hughes and Taylor: order 2, A-stable.
 
     Args:

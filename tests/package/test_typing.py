@@ -1,10 +1,18 @@
 """The types that a user's type checker sees."""
 
+import importlib
+import inspect
+import pkgutil
 import subprocess
 import sys
+import types
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+import rbjax as rb
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).parent / "users_script.py"
@@ -29,3 +37,39 @@ def test_a_users_script_passes_mypy_strict(tmp_path: Path) -> None:
     here = [x for x in found if x.startswith("script.py")]
     assert [x.partition("  ")[2] for x in here] == ["[attr-defined]", "[call-arg]"], child.stdout
     assert len(found) == 3, child.stdout + child.stderr
+
+
+def functions() -> Iterator[tuple[str, Any]]:
+    """Every public function, and every public method of public classes."""
+    packages = (m for m in pkgutil.walk_packages(rb.__path__, "rbjax.") if m.ispkg)
+    names = ["rbjax", *(m.name for m in packages if m.name not in ("rbjax.cli", "rbjax.demo"))]
+    for room in map(importlib.import_module, names):
+        for name in getattr(room, "__all__", ()):
+            x = getattr(room, name)
+            if not inspect.isclass(x):
+                yield f"{room.__name__}.{name}", x
+            # the methods of solvers are of diffrax and optimistix
+            elif x.__module__.startswith("rbjax.") and "rbjax.solvers" not in x.__module__:
+                for method, value in vars(x).items():
+                    if not method.startswith("_"):
+                        yield f"{room.__name__}.{name}.{method}", value
+
+
+def test_public_functions_have_types() -> None:
+    found, count = [], 0
+    for name, value in functions():
+        f = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+        f = inspect.unwrap(f) if callable(f) else f
+        if not isinstance(f, types.FunctionType):
+            continue
+        count += 1
+        code = f.__code__
+        various = bool(code.co_flags & inspect.CO_VARARGS) + bool(
+            code.co_flags & inspect.CO_VARKEYWORDS
+        )
+        total = code.co_argcount + code.co_kwonlyargcount + various
+        arguments = {*code.co_varnames[:total]} - {"self", "cls"}
+        if missing := (arguments | {"return"}) - f.__annotations__.keys():
+            found.append((name, sorted(missing)))
+    assert count > 1000
+    assert not found
