@@ -26,6 +26,20 @@ def blocks(text: str) -> list[str]:
     ]
 
 
+def programs(text: str) -> list[tuple[str, str | None]]:
+    """The blocks that run, each with the text that the page says it prints, or None."""
+    found: list[tuple[str, str | None]] = []
+    end = 0
+    for match in FENCE.finditer(text):
+        _, info, code = match.groups()
+        if info.strip() == "text" and found and not text[end : match.start()].strip():
+            found[-1] = (found[-1][0], code)
+        elif info.split("{")[0].strip() == "python" and ".no-run" not in info:
+            found.append((code, None))
+        end = match.end()
+    return found
+
+
 def prose(text: str) -> str:
     """A page without its fenced blocks."""
     return FENCE.sub("", text)
