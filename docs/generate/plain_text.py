@@ -10,6 +10,7 @@ import re
 
 #: headings of sections that griffe knows by other names
 SECTIONS = {"Example:": "Examples:", "Fields:": "Attributes:"}
+FENCE = "```pycon"
 #: headings of lists of parameters, and an entry for several of them
 PARAMETERS = ("Args:", "Fields:", "Attributes:")
 SEVERAL = re.compile(r"^( +)(\w+(?:, \w+)+): (.*)$")
@@ -41,10 +42,14 @@ def linked(text: str, links: dict[str, str]) -> str:
 def markdown(text: str, links: dict[str, str]) -> str:
     """A docstring as Markdown: examples and indented blocks, as of tables, stay as they are."""
     text = re.sub(r"^( *)Example: (.*)$", r"\1Example:\n\1    \2\n", text, flags=re.MULTILINE)
-    given = _with_one_name_each(text.split("\n"))
-    lines, example, section = [], None, False
+    given = _with_one_name_each(_fenced(text.split("\n")))
+    lines, example, section, fenced = [], None, False, False
     for line, following in zip(given, [*given[1:], ""], strict=True):
         bare = line.strip()
+        if fenced or bare == FENCE:
+            fenced ^= bare in (FENCE, "```")
+            lines.append(line)
+            continue
         indent = len(line) - len(line.lstrip())
         if bare in ("Example:", "Examples:"):
             example = indent
@@ -59,6 +64,30 @@ def markdown(text: str, links: dict[str, str]) -> str:
         else:
             lines.append(f"\0{line}")
     return _convert_runs(lines, links)
+
+
+def _fenced(lines: list[str]) -> list[str]:
+    """Fence the sessions of an interpreter that stand outside of a section of examples."""
+    out: list[str] = []
+    example: int | None = None  # indentation of the heading
+    margin = ""
+    inside = False
+    for line in [*lines, ""]:
+        bare = line.strip()
+        indent = len(line) - len(line.lstrip())
+        if bare in ("Example:", "Examples:"):
+            example = indent
+        elif example is not None and bare and indent <= example:
+            example = None
+        if inside and not bare:
+            out.append(f"{margin}```")
+            inside = False
+        elif example is None and not inside and bare.startswith(">>> "):
+            margin = line[:indent]
+            out += ["", f"{margin}{FENCE}"]
+            inside = True
+        out.append(line)
+    return out[:-1]
 
 
 def _with_one_name_each(lines: list[str]) -> list[str]:

@@ -118,7 +118,6 @@ def module_entry(entry: rooms.Entry, room: str) -> list[str]:
         return [f"- {inner_link(room, name)}: {rooms.first_sentence(entry.value.__doc__ or '')}"]
     return [
         f"### {short(entry.path)} {{#{entry.path}}}", "",
-        escaped(rooms.first_sentence(entry.value.__doc__ or "")), "",
         f"::: {entry.value.__name__}", "    options:", "      show_root_heading: false",
         "      show_root_toc_entry: false", "      heading_level: 3",
     ]  # fmt: skip

@@ -44,3 +44,10 @@ def test_a_docstring():
 
 def test_a_text_table_stays():
     assert "    a_  [b]" in markdown("Text:\n\n    a_  [b]\n\nMore.", {})
+
+
+def test_a_session_in_the_text_is_fenced():
+    text = "Compute.\n\nAs in\n>>> [1][0]\n1\n\nMore [x]."
+    assert markdown(text, {}).split("\n") == [
+        "Compute.", "", "As in", "", "```pycon", ">>> [1][0]", "1", "```", "", r"More \[x\].",
+    ]  # fmt: skip
