@@ -1,6 +1,10 @@
 """Numbers of README, the pages and the charts equal those of benchmarks/results."""
 
-from docs.generate import bars, benchmarks, figures, measured
+import doctest
+
+import pytest
+
+from docs.generate import bars, benchmarks, figures, measured, tables, tutorials
 from docs.generate.subjects import TABLES
 from rbjax import style
 
@@ -48,3 +52,8 @@ def test_a_wrong_number_is_found(tmp_path):
 def test_a_page_without_its_table_is_stale():
     filled = benchmarks.filled("<!-- table: mpc -->\n<!-- end -->")
     assert "| ticks |" in filled and filled == benchmarks.filled(filled)
+
+
+@pytest.mark.parametrize("module", [figures, measured, tables, tutorials])
+def test_examples_of_the_generators(module):
+    assert doctest.testmod(module).failed == 0
