@@ -175,6 +175,9 @@ def _kinds() -> dict[str, Figure]:
             "solver",
             {"kind": ("ode", "second-order", "split", "lie")},
         ),
+        "count.solvers.timed": Count(
+            "work-solvers-intel-r-xeon-r-processor", "method", {"what": "done"}
+        ),
         "count.integrators.mjx": Count(precision, "method", {"what": "step", "engine": "mjx"}),
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from docs.generate import notebooks, repository
@@ -32,6 +33,8 @@ NEEDS = {
     "legs_in_the_air": "a CPU; public recordings",
     "slip_by_floor": "a CPU; public recordings",
 }
+#: a page that a notebook's text names
+PAGE = re.compile(r"`docs/([\w/-]+\.md)`")
 #: which picture of a notebook stands in the list, if it is not the first
 PICTURE = {
     "contact": 2,
@@ -75,10 +78,13 @@ def page(notebook: Notebook, root: Path) -> str:
         f"[open as .ipynb](files/{name}.ipynb)",
         f"[open in Colab]({repository.colab(root, f'notebooks/{name}.ipynb')})",
     )
-    head = (
-        f"Runs in {lasts(notebook.seconds)} ({notebook.date}) on {needs(name)} — {', '.join(links)}"
-    )
-    return "\n\n".join([f"# {notebook.title}", f"<small>{head}</small>", *notebook.body]) + "\n"
+    runs = f"Runs in {lasts(notebook.seconds)} ({notebook.date}, two cores). Needs {needs(name)}."
+    head = f"<small>{runs} {', '.join(links)}</small>"
+    body = [
+        part if part.startswith("```") else PAGE.sub(r"[`docs/\1`](../\1)", part)
+        for part in notebook.body
+    ]
+    return "\n\n".join([f"# {notebook.title}", head, *body]) + "\n"
 
 
 def contents(read: dict[str, Notebook]) -> str:
