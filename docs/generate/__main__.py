@@ -24,7 +24,8 @@ def main() -> None:
         print(f"{name}: {len(found)} files, {time.perf_counter() - start:.1f} s")
     links = rooms.links()
     for page in OUT.rglob("*.md"):
-        page.write_text(convert(page.read_text(), links))
+        path = page.relative_to(OUT).as_posix()
+        page.write_text(convert(page.read_text(), links, path))
     (OUT.parent / "links.json").write_text(json.dumps(links))
     (OUT.parent / "signatures.json").write_text(json.dumps(rooms.signatures()))
     nav = json.dumps(tree.navigation(OUT), ensure_ascii=False, indent=1)

@@ -42,3 +42,8 @@ def test_names_become_links_and_blocks_lose_their_marks():
     text += "```python {.no-run}\n1\n```\n"
     found = convert(text, links)
     assert found.count("[`rb.rollout`][rbjax.rollout]") == 1 and "```python\n" in found
+
+
+def test_paths_of_pages_become_links():
+    found = convert("See `docs/guides/contacts.md`.", {}, "develop/architecture.md")
+    assert found == "See [`docs/guides/contacts.md`](../guides/contacts.md)."

@@ -1,6 +1,9 @@
 """The order of pages: that of the links of a folder's index, then by title."""
 
+import re
+
 from docs.generate import tree
+from tests.docs.pages import DOCS
 
 
 def write(folder, **pages):
@@ -31,3 +34,14 @@ def test_every_generator_is_found():
     names = tree.generators()
     assert {"reference", "registries", "command_line", "home", "style_sheet"} <= set(names)
     assert names[-1] == "llms"
+
+
+def test_every_page_is_linked_from_the_index_of_its_folder():
+    missing = []
+    for index in DOCS.rglob("index.md"):
+        if index.parent in (DOCS, DOCS / "reference"):  # whose index is generated, or README
+            continue
+        links = set(re.findall(r"\]\(([\w./-]+)", index.read_text()))
+        pages = {p.name for p in index.parent.glob("*.md")} - {"index.md"}
+        missing += [str(index.parent / p) for p in pages if p not in links]
+    assert not missing, "they would come last in the site: link them from index.md"
