@@ -61,6 +61,7 @@ class Body(NamedTuple):
     added_mass: jax.Array | None = None
 
 
+@displayed
 class Situation(NamedTuple):
     """A body and the forces on it, the `args` of every formulation in diffrax."""
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.rows.row import Row
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
 from rbjax.dynamics.drivers.choice import Driver
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -84,6 +85,7 @@ def add_multipliers(
     return tau + d.pack(d.scattered(total.tau, 0.0), tau), add_forces(f_ext, total.wrenches)
 
 
+@displayed
 class Residual(NamedTuple):
     """Residuals of the rows of a model.
 

@@ -21,6 +21,7 @@ from rbjax.arguments import flag
 from rbjax.control.optimal.problem_table import problem_display
 from rbjax.control.optimal.system import Linearised, System, system_of
 from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_bound, check_several, known_array
@@ -61,6 +62,7 @@ class Design(Record):
             )
 
 
+@displayed
 class Knot(NamedTuple):
     """A state of the system, and the parameters (p,), which are constant along the motion."""
 

@@ -16,9 +16,11 @@ import numpy as np
 from rbjax.arguments import instance
 from rbjax.compiling import compiler_options
 from rbjax.control.optimal.receding_horizon import PLANNED, PredictiveController
+from rbjax.display import displayed
 from rbjax.errors import InputError
 
 
+@displayed
 class Timing(NamedTuple):
     """Statistics of the durations of calls.
 

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import flag
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -28,6 +29,7 @@ from rbjax.motion.integrators import advance_state, integrator_of, semi_implicit
 from rbjax.motion.linearise import box_minus, box_plus, linearise_euler_step
 
 
+@displayed
 class Linearised(NamedTuple):
     """The state after a step, and its derivatives A (n, n) and B (n, m) on the tangent space."""
 

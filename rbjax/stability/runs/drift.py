@@ -195,6 +195,7 @@ def steps_of_a_sample(where: str, steps: Any, samples: Any) -> int:
     return steps // samples
 
 
+@displayed
 class Trend(NamedTuple):
     """The slope of a series.
 

@@ -17,10 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rbjax.display import displayed
+
 #: a thinner body, relative to the guess, counts as impossible because of rounding
 BORDER = 1e-7
 
 
+@displayed
 @dataclass(frozen=True)
 class Divergence:
     """The value D >= 0 of a divergence at p, with its gradient (n,) and Hessian (n, n).

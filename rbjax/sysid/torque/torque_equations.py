@@ -32,6 +32,7 @@ ROUNDING = 1e-13
 SMALL = 1e-6
 
 
+@displayed
 class Fitted(NamedTuple):
     """A weighted least-squares solution.
 
