@@ -82,7 +82,7 @@ class ControlStep:
             r.name: jnp.asarray(r.draw(jax.random.fold_in(random, i), params), dtype)
             for i, r in enumerate(task.randomise)
         }
-        params = self.with_drawn(params, drawn)
+        params = self.with_drawn(params, drawn, constants=False)
         variables = {
             v.name: jnp.asarray(v.start(jax.random.fold_in(variable, i), params))
             for i, v in enumerate(task.variables)
@@ -140,7 +140,7 @@ class ControlStep:
     ) -> tuple[EnvState, jax.Array]:
         """Return the state after the events, with the action in its buffer, and the controls."""
         task = self.task
-        params = self.with_drawn(params, state.drawn)
+        params = self.with_drawn(params, state.drawn, constants=False)
         for i, e in enumerate(task.events):
             state = e.apply(jax.random.fold_in(key, i), state, params)
         if "action" in self.delayed:
@@ -285,14 +285,20 @@ class ControlStep:
         }
         return (out if len(out) > 1 else out["policy"]), state.replace(buffers=buffers)
 
-    def with_drawn(self, params: Params, drawn: dict[str, Any]) -> Params:
-        """Return the parameters with the drawn values of an episode in the model."""
+    def with_drawn(
+        self, params: Params, drawn: dict[str, Any], *, constants: bool = True
+    ) -> Params:
+        """Return the parameters with the drawn values of an episode in the model.
+
+        constants: whether the link constants are computed at once, for a part that reads motions.
+            Else a function that needs them computes them.
+        """
         if not drawn:
             return params
         model = params.model
         for r in self.task.randomise:
             model = r.apply(model, drawn[r.name])
-        return with_model(params, with_constants(model, self.dtype))
+        return with_model(params, with_constants(model, self.dtype) if constants else model)
 
 
 def key_of(data: jax.Array) -> jax.Array:
