@@ -1,7 +1,8 @@
 """Settings of SHAC side by side: several trainings of one task in one program, mapped by `vmap`.
 
-    python -m benchmarks.envs.shac_settings --task go1_joystick_flat --samples 8000000 \
-        --settings '[{"reward_scale": 30.0}, {"reward_scale": 1.0}]'
+    python -m benchmarks.envs.shac_settings --task go1_joystick_flat --guided --batch 256 \
+        --samples 6000000 --reports 24 --settings '[{"guide": 2.0}, {"guide": 5.0, "until": 0.9}]' \
+        --common '{"reward_scale": 30.0, "discount": 0.97, "std": 0.15, "rate": 1e-3}'
 
 prints the return of whole episodes of each setting over the training, and of the mean policy at
 its end, and writes results/shac-settings-TASK-<device>.json. Batch, horizon and networks are common
@@ -118,6 +119,7 @@ def main() -> None:
     )
     parser.add_argument("--task", required=True)
     parser.add_argument("--settings", default="[{}]", help="list of changes of the defaults, JSON")
+    parser.add_argument("--common", default="{}", help="changes of all settings, JSON")
     parser.add_argument("--samples", type=int, default=8_000_000)
     parser.add_argument("--batch", type=int, default=128)
     parser.add_argument("--horizon", type=int, default=32)
@@ -145,7 +147,7 @@ def main() -> None:
     if given.guided:
         env = rb.envs.Environment(guided(env.task))
     judge = rb.envs.make(given.task, **json.loads(given.option))
-    changes = json.loads(given.settings)
+    changes = [{**json.loads(given.common), **c} for c in json.loads(given.settings)]
     rows = [{**DEFAULTS, **c} for c in changes]
     hyper = {n: jnp.asarray([r[n] for r in rows], jnp.float32) for n in DEFAULTS}
     per = given.batch * given.horizon
@@ -281,7 +283,7 @@ def main() -> None:
         )  # fmt: skip
         if given.out:
             eqx.tree_serialise_leaves(f"{given.out}-{i}.eqx", own)
-    shown = {k: v for k, v in vars(given).items() if k not in ("settings", "out")}
+    shown = {k: v for k, v in vars(given).items() if k not in ("settings", "common", "out")}
     name = f"shac-settings-{given.task}{given.name}".replace("_", "-")
     print(save(name, [{**shown, **row} for row in found]))
 
