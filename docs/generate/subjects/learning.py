@@ -37,6 +37,23 @@ TABLES = {
             C(lambda row: _last(row)["episodes"], "episodes"),
         ),
     ),
+    "settings of SHAC": Table(
+        ("shac-settings-*",),
+        (
+            C("task"),
+            *(
+                C(lambda row, name=name: f"{row['settings'][name]:g}", text)
+                for name, text in (
+                    ("reward_scale", "factor of the reward"), ("discount", "discount"),
+                    ("rate", "rate"), ("critic_rate", "rate of V"), ("std", "noise"),
+                    ("slow", "update of V'"), ("limit", "limit of each gradient"),
+                    ("ramp", "softer contacts"),
+                )
+            ),
+            C(lambda row: row["curve"][-1]["steps"], "steps"),
+            C("return"),
+        ),
+    ),
     "training on several GPUs": Table(
         ("gpu-devices-*",),
         (
