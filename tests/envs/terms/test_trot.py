@@ -1,6 +1,7 @@
 """The trot of a reference: its feet stand at the commanded velocity and swing forward."""
 
 import functools
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.envs.suite.go1 import FEET, HEIGHT, HIPS, HOME, LEG
-from rbjax.envs.terms import guide_until
+from rbjax.envs.terms import guide_until, trot_distance
 from rbjax.envs.terms.trot import trot_angles
 from rbjax.forces.context import Context
 
@@ -41,6 +42,17 @@ def test_a_foot_that_stands_moves_back_at_the_commanded_velocity():
 def test_feet_are_lifted_in_diagonal_pairs():
     up = np.asarray(feet(jnp.full(9, 0.125), np.zeros(3)))[0, :, 2]
     assert up[0] > up[1] + 0.04 and up[3] > up[2] + 0.04 and abs(up[1] - up[2]) < 0.01
+
+
+def test_the_distance_is_that_of_the_joints():
+    command, time, off = jnp.array([0.5, 0.0, 0.2]), 0.3, 0.01 * jnp.arange(12)
+    angles = trot_angles(time, command, HOME, HIPS, LEG, 0.3, 2.0)
+    transition = SimpleNamespace(
+        after=SimpleNamespace(q=jnp.concatenate([BASE, angles + off])), step=15, dt=0.02,
+        variables={"command": command},
+    )  # fmt: skip
+    found = trot_distance(HOME, HIPS, LEG)(transition)
+    np.testing.assert_allclose(found, -(off**2).sum(), rtol=1e-12)
 
 
 def test_the_guide_falls_to_zero():
