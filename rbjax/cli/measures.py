@@ -26,8 +26,7 @@ def identify(
     example: Annotated[bool, typer.Option("--example", help="Write an example here.")] = False,
     folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
-    """Fit a robot's parameters to recordings. Writes a report, and the robot's file with the
-    fitted parameters."""
+    """Fit a robot's parameters to recordings. Writes a report, and the fitted robot's file."""
     from rbjax.sysid.jobs.example import write_example
     from rbjax.sysid.jobs.job import Job
 
