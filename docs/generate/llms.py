@@ -14,7 +14,7 @@ from docs.generate import rooms, tree
 #: largest sizes in bytes
 SMALL, LARGE = 10_000, 1_000_000
 #: folders in llms-full.txt, the most useful first; pages that do not fit are left out, with a note
-FULL = ("start", "howto", "guides", "tutorials", "tasks", "theory", "benchmarks", "develop")
+FULL = ("start", "howto", "guides", "develop", "tutorials", "tasks", "theory", "benchmarks")
 #: folders whose pages llms.txt lists one by one
 LISTED = ("start", "howto", "guides", "tutorials")
 
