@@ -46,7 +46,7 @@ def defines(file: str, dotted: str) -> bool:
 def test_names_and_files_of_a_page_exist(page):
     text = page.read_text()
     missing = set()
-    for dotted in re.findall(r"\brb\.[A-Za-z_]+(?:\.[A-Za-z_]+)*", text):
+    for dotted in re.findall(r"\brb\.[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*", text):
         found = rb
         for part in dotted.split(".")[1:]:
             found = getattr(found, part, None)

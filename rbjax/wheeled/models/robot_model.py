@@ -252,8 +252,8 @@ class Contacts(NamedTuple):
 
     @property
     def lifts(self) -> jax.Array:
-        """Boolean (n,): whether the load is negative. Such a wheel would lift; the motion is not
-        valid."""
+        """Boolean (n,): whether the load is negative. Such a wheel would lift. It exerts no
+        force, and the motion is approximate."""
         return self.loads < 0
 
 

@@ -4,7 +4,7 @@
 
 A wheel with rollers transmits only the force along the roller axes. A caster, which swivels
 without resistance, transmits only the force along the wheel. A negative load means that the wheel
-would lift, and that the motion is not valid.
+would lift. It then transmits no force, and the loads of the others are too large.
 
 The slip of a light wheel decays at about (N C / v) (1 / m + r^2 / I), with the slope C of the law
 and the speed v, or `smooth_speed` near rest. An explicit step must be shorter than two of these
@@ -138,7 +138,8 @@ class Slipping(RobotModel):
         pulls = [rotate(pull, e) for pull, e in zip(pulls, context.shape.wheels, strict=True)]
         loads = wheel_loads(context.n, pulls)
         return loads, [
-            (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
+            (mul(load, x), mul(load, y))
+            for load, (x, y) in zip(_on_the_ground(loads), pulls, strict=True)
         ]
 
     def accelerations(self, context: RobotContext) -> list[Lane]:
@@ -153,7 +154,8 @@ class Slipping(RobotModel):
         """Compute the equations of motion, and the loads of wheels."""
         n = context.n
         loads, forces = self.wheel_forces(context)
-        wrenches, torques = gravity_wrenches(context), shaft_torques(context, context.v, loads)
+        wrenches = gravity_wrenches(context)
+        torques = shaft_torques(context, context.v, _on_the_ground(loads))
         for wheel, e, force in zip(n.wheels, context.shape.wheels, forces, strict=True):
             moment = cross(wheel.position, force)
             wrenches[wheel.body] = wrenches[wheel.body] + Twist(*force, moment)
@@ -176,17 +178,22 @@ class Slipping(RobotModel):
         columns = [sliding(unit) for unit in columns_of(n, context.shape, identity, self.nv)]
         rates = n.shaft_rates(context.v)
         out: list[Damper] = []
+        pressed = _on_the_ground(loads)
         for i, slides in enumerate(sliding(context.v)):
             wheel = n.wheels[i]
             roll, across = mul(wheel.radius, rates[wheel.shaft]), (*slides, 0.0)[1]
             found = with_lanes(self.tyres[i], n.dtype).damping(slides[0], across, roll, h)
-            load = jnp.maximum(loads[i], 0.0)
             for k in range(len(slides)):
-                out.append((mul(load, found[k]), [column[i][k] for column in columns]))
+                out.append((mul(pressed[i], found[k]), [column[i][k] for column in columns]))
         return out
 
     def tyre_rates(self, context: RobotContext) -> list[Lane]:
         return self.contacts(context)[1] if self.nx else []
+
+
+def _on_the_ground(loads: Sequence[Lane]) -> list[Lane]:
+    """Return the loads of wheels, with zero for one that would lift."""
+    return [jnp.maximum(load, 0.0) for load in loads]
 
 
 def _contact_velocities(context: RobotContext, w: Sequence[Lane]) -> list[tuple[Lane, Lane, Lane]]:
