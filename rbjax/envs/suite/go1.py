@@ -64,7 +64,8 @@ def go1_joystick_flat(
         randomise: whether friction, masses and the like are drawn at each reset.
         iterations: most Newton steps of a contact problem; None: to convergence, 3 to 4 on average.
         guided: whether the curriculum adds the distance from a trot to the reward, with a weight
-            that falls to zero, and the reward is not clipped. For SHAC: else it learns to stand.
+            that falls to zero, and the reward is not clipped. For SHAC, which with it learns to
+            step, but not yet to follow the command.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 

@@ -27,8 +27,7 @@ def trot_distance(
 ) -> Term:  # fmt: skip
     """Return -|q - h|^2 of the joints, with the angles h of a trot by the command.
 
-    Use it as a guide at the beginning of a training by gradients, which else learns to stand: the
-    reward of a robot that stands has no slope towards steps.
+    Use it as a guide at the beginning of a training by gradients.
 
     Args:
         home: (12,) angles of the standing robot, for each leg hip, thigh, knee; diagonal legs are
