@@ -154,8 +154,8 @@ def compose(A: jax.Array, B: jax.Array) -> jax.Array:
 
     Example:
         >>> from rbjax.rotations.so3 import compose, exp
-        >>> compose(exp([0.0, 0.0, 1.0]), exp([0.0, 0.0, -1.0])).round(6).tolist()
-        [[1.0, -0.0, 0.0], [-0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        >>> (compose(exp([0.0, 0.0, 1.0]), exp([0.0, 0.0, -1.0])).round(6) + 0.0).tolist()
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     return stacked(Mat3(*entries(A, 2)) @ Mat3(*entries(B, 2)), 3, 3)
 
