@@ -59,7 +59,7 @@ def task(damping, delay):
             "fell": lambda to: jnp.abs(to.after.q[1]) > 0.8,
             "left": lambda to: jnp.abs(to.after.q[0]) > 2.0,
         },
-        total=lambda terms, dt: sum(terms.values()),
+        total_reward=lambda terms, dt: sum(terms.values()),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Settings of SHAC side by side: several trainings of one task in one program, mapped by `vmap`.
 
-    python -m benchmarks.envs.shac_settings --task go1_joystick_flat --guided --batch 256 \
-        --samples 6000000 --reports 24 --settings '[{"guide": 2.0}, {"guide": 5.0, "until": 0.9}]' \
+    python -m benchmarks.envs.shac_settings --task go1_joystick_flat --batch 256 \
+        --samples 6000000 --reports 24 --settings '[{"clip": 1.0}, {"clip": 0.1}]' \
         --common '{"reward_scale": 30.0, "discount": 0.97, "std": 0.15, "rate": 1e-3}'
 
 prints the return of whole episodes of each setting over the training, and of the mean policy at
@@ -18,8 +18,6 @@ to all settings. f32.
     ramp                share of the way from the contacts of the task to contacts whose force is
                         continuous at touch
     fraction            share of the training in which the ramp falls to zero; 0: never
-    guide, until        of Go1 with --guided: weight of the distance from a trot at the beginning,
-                        and the progress at which it is zero
 """
 
 from __future__ import annotations
@@ -48,7 +46,6 @@ from rbjax.lanes.arrays import select
 DEFAULTS = {
     "rate": 2e-3, "critic_rate": 1e-3, "discount": 0.99, "trace": 0.95, "slow": 0.5, "std": 0.35,
     "reward_scale": 1.0, "clip": 1.0, "limit": 1e9, "ramp": 0.0, "fraction": 0.0,
-    "guide": 0.0, "until": 0.5,
 }  # fmt: skip
 RAMP = (1e-4, 0.95, 0.02, 0.5, 2.0)  # of solimp
 
@@ -87,32 +84,6 @@ def bounded(x: Any, limit: jax.Array) -> Any:
     return same(x, limit)
 
 
-def trot(command: jax.Array, t: jax.Array, hertz: float = 2.0) -> jax.Array:
-    """Return the joint angles (12,) of a Go1 that trots by a command, at the time t."""
-    phase = 2 * jnp.pi * hertz * t + jnp.pi * jnp.array([0.0, 1.0, 1.0, 0.0])
-    x, y = jnp.array([0.19, 0.19, -0.19, -0.19]), jnp.array([-0.13, 0.13, -0.13, 0.13])
-    vx, vy = command[0] - command[2] * y, command[1] + command[2] * x
-    swing = -jnp.cos(phase) / (4 * hertz) / 0.265
-    lift = jnp.maximum(jnp.sin(phase), 0.0)
-    home = jnp.array([0.1, 0.9, -1.8, -0.1, 0.9, -1.8] * 2).reshape(4, 3)
-    offset = jnp.stack([swing * vy, 0.3 * lift - swing * vx, -0.6 * lift], 1)
-    return (home + offset).reshape(-1)
-
-
-def guided(task: Any) -> Any:
-    """Return the task with the distance from a trot as a reward, and without a clipped reward."""
-
-    def distance(transition: Any) -> jax.Array:
-        t = transition.step * transition.dt
-        aim = trot(transition.variables["command"], t)
-        return -((transition.after.q[7:] - aim) ** 2).sum()
-
-    return dataclasses.replace(
-        task, rewards=(*task.rewards, rb.envs.Reward("trot", distance, 0.0)),
-        total_reward=rb.envs.sum_of_rewards,
-    )  # fmt: skip
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -133,7 +104,6 @@ def main() -> None:
     parser.add_argument("--option", default="{}", help="options of the task, JSON")
     parser.add_argument("--upright", type=float, help="of Go1: least z_z, else the episode ends")
     parser.add_argument("--low", type=float, help="of Go1: least height of the trunk, m")
-    parser.add_argument("--guided", action="store_true", help="of Go1: a trot as a reference")
     parser.add_argument("--name", default="")
     parser.add_argument("--out")
     given = parser.parse_args()
@@ -144,8 +114,6 @@ def main() -> None:
         if given.low is not None:
             ends["low"] = lambda t: t.after.body("trunk").position[2] < given.low
         env = rb.envs.Environment(dataclasses.replace(env.task, terminations=ends))
-    if given.guided:
-        env = rb.envs.Environment(guided(env.task))
     judge = rb.envs.make(given.task, **json.loads(given.option))
     changes = [{**json.loads(given.common), **c} for c in json.loads(given.settings)]
     rows = [{**DEFAULTS, **c} for c in changes]
@@ -168,9 +136,6 @@ def main() -> None:
             jnp.maximum(1 - k / iterations / jnp.maximum(h["fraction"], 1e-6), 0.0), 1.0,
         )  # fmt: skip
         params = moves.at_progress(env, env.default_params, k / iterations)
-        if given.guided:
-            weight = h["guide"] * jnp.maximum(1 - k / iterations / h["until"], 0.0)
-            params = params.replace(weights={**params.weights, "trot": weight})
         if all(r["ramp"] == 0 for r in rows):
             return params
         return softened(params, h["ramp"] * share)

@@ -24,7 +24,6 @@ import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.envs.learning.proximal import ppo
 from rbjax.envs.learning.report import Monitor
-from rbjax.envs.learning.task_settings import task_options
 from rbjax.envs.learning.training import shac_arguments
 
 COLUMNS = ("seconds", "steps", "steps_per_second", "reward", "reward_std", "length")
@@ -55,7 +54,6 @@ def main() -> None:
     learning = rb.envs.learning
     began = time.perf_counter()
     options = {n: ast.literal_eval(x) for n, x in (o.split("=", 1) for o in given.option)}
-    options = task_options(given.task, given.algorithm) | options
     env = rb.envs.make(given.task, **options)
     chosen = learning.settings(given.task, given.algorithm)
     chosen |= {} if given.steps is None else {"steps": given.steps}

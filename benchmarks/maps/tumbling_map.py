@@ -177,9 +177,7 @@ def draw(phi: np.ndarray, found: Found, shares: dict[str, float], path: Path) ->
             f"off by more\nthan {GOOD:.0e} rad.", va="top", in_layout=False, fontsize=9,
             transform=discs[1, 5].transAxes,
         )  # fmt: skip
-        bar = upper.colorbar(
-            shown, ax=discs, location="bottom", shrink=0.6, pad=0.01, aspect=40
-        )
+        bar = upper.colorbar(shown, ax=discs, location="bottom", shrink=0.6, pad=0.01, aspect=40)
         bar.set_label("error of attitude after 10 s, log$_{10}$ rad")
         laws = lower.subplots(2, 2, sharex=True, sharey=True)
         for law, kind in zip(laws.flat, FAMILIES, strict=True):

@@ -106,8 +106,8 @@ def check_model(where: str, model: Any, fix: str = "for a batch of models, use j
 def check_static(where: str, kind: str, value: Any) -> None:
     """Raise `InputError` unless a static argument has the type that its kind requires.
 
-    The kinds are "body", "site", "integrator", "contact" and "dynamics". None and strings always
-    pass.
+    The kinds are "body", "site", "integrator", "contact", "dynamics" and "constraints", whose type
+    `formulation_of` checks. None and strings always pass.
     """
     index = kind in ("body", "site") and isinstance(value, int) and not isinstance(value, bool)
     frame = kind == "body" and isinstance(value, Frame)
@@ -118,6 +118,8 @@ def check_static(where: str, kind: str, value: Any) -> None:
             f"{where}: {kind} is {type(value).__name__}, expected one of model.{kind}_names"
         )
     advances = kind in ("dynamics", "contact") and hasattr(value, "advance_velocity")
+    if kind == "constraints" and isinstance(value, Hashable):
+        return
     if not (callable(value) or advances) or not isinstance(value, Hashable):
         raise InputError(
             f"{where}: {kind} is {type(value).__name__}, expected "

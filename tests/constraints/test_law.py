@@ -176,3 +176,21 @@ def test_accelerations_start_from_free_motion() -> None:
     free = rb.forward_dynamics(model, q, zero, zero)
     assert abs(G @ free).max() > 0.1
     assert abs(G @ a).max() < 1e-7 < abs(a).max()
+
+
+@pytest.mark.parametrize("factor", [rc.Baumgarte(3.0, 4.0), rc.KKT()], ids=lambda x: x.name)
+def test_every_function_accepts_a_factor_of_a_formulation(factor):
+    """`rollout` did; `acceleration`, `step` and `linearise` wanted a function."""
+    model = rb.load(
+        """<mujoco><worldbody><body name="bob"><joint name="x" type="slide" axis="1 0 0"/>
+        <joint name="z" type="slide" axis="0 0 1"/><geom size="0.1"/></body></worldbody></mujoco>"""
+    )
+    distance = rc.Distance(rc.Place.on(), rc.Place.on(body="bob"), jnp.array(1.0))
+    model, whole = model.with_constraints(distance), rc.formulation.as_formulation(factor)
+    state = rb.State(jnp.array([0.6, -0.8]), jnp.array([0.4, 0.3]))
+    for f in (
+        lambda c: rb.acceleration(model, state, constraints=c),
+        lambda c: rb.step(model, state, dt=0.01, constraints=c).v,
+        lambda c: rb.linearise(model, state, constraints=c).A,
+    ):
+        np.testing.assert_array_equal(f(factor), f(whole))

@@ -66,7 +66,7 @@ CART_POLE_SHAC = {
     "hidden": (32, 16),
 }  # fmt: skip
 
-#: of Go1, with the option `guided`; without `gradient_limit`, with which it learned to fall
+#: of Go1, which does not walk with them yet; with `gradient_limit` it learned to fall
 GO1_SHAC = {
     "steps": 8_000_000, "batch": 256, "horizon": 32, "discount": 0.97, "rate": 1e-3,
     "critic_rate": 1e-3, "target_rate": 0.5, "std": 0.15, "reward_scale": 30.0,
@@ -91,24 +91,6 @@ TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
         for name in ("stand", "walk", "run")
     },
 }
-
-#: options of a task for an algorithm, which `train` uses if they are not given
-OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
-    ("go1_joystick_flat", "shac"): {"guided": True},
-    ("hopper_stand", "shac"): {"guided": True},
-    ("hopper_hop", "shac"): {"guided": True},
-}
-
-
-def task_options(task: str, algorithm: str) -> dict[str, Any]:
-    """Return the options with which `train` makes a task for an algorithm.
-
-    Example:
-        >>> from rbjax.envs.learning.task_settings import task_options
-        >>> task_options("go1_joystick_flat", "shac"), task_options("go1_joystick_flat", "ppo")
-        ({'guided': True}, {})
-    """
-    return dict(OPTIONS.get((task, algorithm), {}))
 
 
 def settings(

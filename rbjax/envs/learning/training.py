@@ -14,7 +14,7 @@ from rbjax.envs.learning.checkpoint import save_policy
 from rbjax.envs.learning.proximal import ppo
 from rbjax.envs.learning.report import Monitor
 from rbjax.envs.learning.short_horizon import shac
-from rbjax.envs.learning.task_settings import ALGORITHMS, settings, task_options
+from rbjax.envs.learning.task_settings import ALGORITHMS, settings
 from rbjax.envs.learning.trained import Trained
 from rbjax.envs.registry import make
 from rbjax.errors import InputError, UnknownName
@@ -79,8 +79,7 @@ def train(
         real_number("train", "seconds", seconds, above=0.0)
     if isinstance(task, Environment) and options:
         raise InputError("train: options need the name of a task, got an Environment")
-    made = task_options(str(task), algorithm) | dict(options or {})
-    env = task if isinstance(task, Environment) else make(task, **made)
+    env = task if isinstance(task, Environment) else make(task, **(options or {}))
     name = env.task.name if env.name is None else env.name
     if out is not None and env.name is None:
         raise InputError(

@@ -12,7 +12,6 @@ The numbers are those of MuJoCo Playground's Go1JoystickFlatTerrain and Go1Joyst
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -25,7 +24,7 @@ from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
-from rbjax.envs.task import Observation, Randomisation, Reward, Task, sum_of_rewards
+from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.envs.terrain import rough_ground
 from rbjax.loading import load
 from rbjax.model import Model, State
@@ -42,11 +41,6 @@ BODY, IMU = "trunk", "imu"
 SOFT = 0.95
 #: height of a swinging foot, m
 SWING = 0.1
-#: x and y of the hips in the trunk, and the distance from hip to foot at HOME, m
-HIPS = ((0.188, -0.127), (0.188, 0.127), (-0.188, -0.127), (-0.188, 0.127))
-LEG = 0.265
-#: of the option `guided`: weight of the trot at the beginning, and the progress at which it is 0
-GUIDE, GUIDED_UNTIL = 2.0, 0.6
 
 
 @register("go1_joystick_flat")
@@ -55,7 +49,6 @@ def go1_joystick_flat(
     pushes: bool = False,
     randomise: bool = False,
     iterations: int | None = None,
-    guided: bool = False,
 ) -> Task:
     """Return the task of a Go1 that follows a velocity command on a flat floor.
 
@@ -63,9 +56,6 @@ def go1_joystick_flat(
         pushes: whether forces push the robot (`params.values["push_speed"]`, m/s).
         randomise: whether friction, masses and the like are drawn at each reset.
         iterations: most Newton steps of a contact problem; None: to convergence, 3 to 4 on average.
-        guided: whether the curriculum adds the distance from a trot to the reward, with a weight
-            that falls to zero, and the reward is not clipped. For SHAC, which with it learns to
-            step, but not yet to follow the command.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 
@@ -76,8 +66,7 @@ def go1_joystick_flat(
         (12, 5)
     """
     model = load(robot_file("go1"))
-    task = _task("go1_joystick_flat", model, HEIGHT, pushes, randomise, iterations)
-    return _guided(task) if guided else task
+    return _task("go1_joystick_flat", model, HEIGHT, pushes, randomise, iterations)
 
 
 @register("go1_joystick_rough")
@@ -132,16 +121,6 @@ def _task(
         decimation=DECIMATION, dt=DT / DECIMATION, episode=1000,
         values=_values(pushes), total_reward=terms.clipped_sum(0.0, 1e4, times_dt=True),
         tracked=BODY,
-    )  # fmt: skip
-
-
-def _guided(task: Task) -> Task:
-    """Return the task with the distance from a trot as a reward term, whose weight is that of the
-    curriculum."""
-    trot = Reward("trot", terms.trot_distance(HOME, HIPS, LEG), 0.0)
-    return dataclasses.replace(
-        task, rewards=(*task.rewards, trot), total_reward=sum_of_rewards,
-        curriculum=terms.guide_until("trot", GUIDE, GUIDED_UNTIL),
     )  # fmt: skip
 
 

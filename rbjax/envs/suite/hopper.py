@@ -11,8 +11,7 @@ Controls in -1..1 are torques of 30, 40, 30 and 10 N m. Episodes of 20 s, in con
 the forces under toe and heel at the end of a control step, one solution of the contacts more than
 the physics needs; Playground's are those at the beginning of the last physics step.
 
-The reward "standing" has no slope. With the option `guided` it has a margin below 0.6 m, which the
-curriculum narrows from 0.6 m to 0 over the first two thirds of a training by gradients.
+The reward "standing" has no slope, so a learner by gradients does not see it.
 
 Source: Tassa et al., *DeepMind Control Suite*, 2018 (hopper); step and resets of MuJoCo Playground
 0.2.0.
@@ -26,7 +25,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
@@ -39,8 +37,6 @@ from rbjax.sensors import SubtreeVelocity, Touch, Volume
 
 STANDING_HEIGHT = 0.6
 HOPPING_SPEED = 2.0
-#: of the curriculum: margin at the beginning, m, and progress of the training at which it is 0
-FIRST_MARGIN, NO_MARGIN_FROM = 0.6, 2 / 3
 
 _PAD = Volume("sphere", (0.05,))
 _TOE, _HEEL = (Touch(Frame(site=name), volume=_PAD) for name in ("toe", "heel"))
@@ -48,36 +44,34 @@ _VELOCITY = SubtreeVelocity("torso")
 
 
 @register("hopper_stand")
-def hopper_stand(*, touch: bool = True, guided: bool = False) -> Task:
+def hopper_stand(*, touch: bool = True) -> Task:
     """Stand up and keep the balance.
 
     touch: whether the forces under the foot are observed.
-    guided: whether the reward of standing has a slope at the beginning of a training, for SHAC.
 
     Example:
         >>> import rbjax as rb
         >>> rb.envs.make("hopper_stand").observation_size
         15
     """
-    return _task("hopper_stand", small_control, touch, guided)
+    return _task("hopper_stand", small_control, touch)
 
 
 @register("hopper_hop")
-def hopper_hop(*, touch: bool = True, guided: bool = False) -> Task:
+def hopper_hop(*, touch: bool = True) -> Task:
     """Stand up and hop forward at 2 m/s or more.
 
     touch: whether the forces under the foot are observed.
-    guided: whether the reward of standing has a slope at the beginning of a training, for SHAC.
 
     Example:
         >>> import rbjax as rb
         >>> rb.envs.make("hopper_hop", touch=False).observation_size
         13
     """
-    return _task("hopper_hop", hopping, touch, guided)
+    return _task("hopper_hop", hopping, touch)
 
 
-def _task(name: str, second: Any, touch: bool, guided: bool) -> Task:
+def _task(name: str, second: Any, touch: bool) -> Task:
     model = load(robot_file("hopper"))
     terms = [
         Observation("position", lambda transition: transition.after.q[1:]),
@@ -92,9 +86,7 @@ def _task(name: str, second: Any, touch: bool, guided: bool) -> Task:
         {"policy": tuple(terms)},
         (Reward("standing", standing), Reward(second.__name__, second)),
         decimation=4,
-        values={"standing_margin": 0.0} if guided else {},
         total_reward=product_of_rewards,
-        curriculum=narrow_margin if guided else None,
         tracked="torso",
     )
 
@@ -109,14 +101,7 @@ def standing(transition: Any) -> jax.Array:
     torso, foot = (
         transition.after.frame(Frame(center=name)).position[2] for name in ("torso", "foot")
     )
-    margin = transition.params.values.get("standing_margin", 0.0)
-    return tolerance(torso - foot, (STANDING_HEIGHT, 2.0), margin)
-
-
-def narrow_margin(params: Params, progress: Any) -> Params:
-    """Return the parameters at a progress of the training, with the margin of "standing"."""
-    margin = FIRST_MARGIN * jnp.maximum(0.0, 1 - progress / NO_MARGIN_FROM)
-    return params.replace(values={**params.values, "standing_margin": margin})
+    return tolerance(torso - foot, (STANDING_HEIGHT, 2.0))
 
 
 def hopping(transition: Any) -> jax.Array:

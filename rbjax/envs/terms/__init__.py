@@ -10,7 +10,6 @@ Files:
     feet.py: contact, air time, slip and height of feet.
     loads.py: the forces of the floor on two feet.
     gait.py: a gait clock.
-    trot.py: a trot as a reference for the joints of a quadruped.
     commands.py: commands that change in time.
     pushes.py: pushes.
     randomisations.py: domain randomisation of robots.
@@ -56,7 +55,6 @@ from rbjax.envs.terms.randomisations import (
 from rbjax.envs.terms.sigmoids import tolerance
 from rbjax.envs.terms.starts import planar_start, random_base
 from rbjax.envs.terms.touch import any_touching, box_separation, touching
-from rbjax.envs.terms.trot import guide_until, trot_distance
 from rbjax.envs.terms.velocities import (
     roll_and_pitch_rate,
     track_velocity,
@@ -81,7 +79,6 @@ __all__ = [
     "forces",
     "gait_clock",
     "gravity_direction",
-    "guide_until",
     "height_of_phase",
     "joint_acceleration",
     "joint_deviation",
@@ -111,7 +108,6 @@ __all__ = [
     "touching",
     "track_velocity",
     "track_yaw_rate",
-    "trot_distance",
     "two_foot_loads",
     "velocity_pushes",
     "vertical_velocity",

@@ -138,14 +138,3 @@ def test_gradient_through_contacts():
     numeric = [(speed(action + e) - speed(action - e)) / (2 * h) for e in h * jnp.eye(4)]
     # rounding of a speed^2 near 100, over 2e-6
     np.testing.assert_allclose(grad, jnp.stack(numeric), rtol=1e-6, atol=1e-6)
-
-
-def test_the_curriculum_gives_standing_a_slope():
-    """The margin of a guided task narrows to that of the plain task, which has none."""
-    guided, plain = (rb.envs.make("hopper_stand", guided=g) for g in (True, False))
-    assert plain.task.curriculum is None and not plain.default_params.values
-    margins = [
-        float(guided.task.curriculum(guided.default_params, p).values["standing_margin"])
-        for p in (0.0, 1 / 3, 2 / 3, 1.0)
-    ]
-    np.testing.assert_allclose(margins, [0.6, 0.3, 0.0, 0.0], atol=1e-12)
