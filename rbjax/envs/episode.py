@@ -17,8 +17,8 @@ class Params(Record):
     differentiate with respect to them.
 
     model: the robot, before the randomisation of an episode.
-    weights: name of a reward term -> its factor.
-    noise: factor of the noise of observations; 0 for none.
+    weights: name of a reward term -> its factor ().
+    noise: () factor of the noise of observations; 0 for none.
     values: name -> number or array of the task: ranges of commands, strengths of pushes.
 
     Example:

@@ -96,7 +96,7 @@ def log_recording(
         env: the environment.
         observations: (T, n), each before the action of its row, as "obs" of `Environment.unroll`.
             The episode must not end within the log.
-        actions: (T, na).
+        actions: (T, na), in the units that the action map of the task expects.
         terms: names of terms; None for all that `observation_sensors` returns.
         group: group of the observations.
         start: state of motion, or state of the episode, at the first observation; None if it is
@@ -158,6 +158,12 @@ def log_recording(
 
 def control_grid(env: Environment) -> Grid:
     """Return the steps of integration of an environment, for `rb.sysid.identify`.
+
+    Args:
+        env: the environment.
+
+    Returns:
+        `rb.sysid.Grid` with the control step in s, the physics steps in it, and the integrator.
 
     Example:
         >>> import rbjax as rb

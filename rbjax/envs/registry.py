@@ -20,10 +20,13 @@ _TASKS: dict[str, Callable[..., Task]] = {}
 def register(name: str) -> Callable[[F], F]:
     """Register a function that returns a `Task` (a decorator).
 
+    A function that is defined again, for instance in a notebook, replaces the earlier one.
+
     Args:
         name: name of the task.
 
-    A function that is defined again, for instance in a notebook, replaces the earlier one.
+    Returns:
+        A decorator that returns the function unchanged.
 
     Raises:
         InputError: a name that is not a word, or that belongs to another function.

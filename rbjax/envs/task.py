@@ -89,7 +89,8 @@ class Event:
     """An event at the beginning of a control step, such as a push.
 
     name: name of the event.
-    apply: function (key, state: EnvState, params) that returns the changed `EnvState`.
+    apply: function (key, state: EnvState, params) that returns the changed `EnvState`; key () is of
+        `jax.random`.
 
     Example:
         >>> import rbjax as rb
@@ -189,6 +190,13 @@ def _uniform(where: Callable, low: Any, high: Any, each: bool) -> Callable:
 
 def sum_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
     """Compute the reward of a control step: dt times the sum of the weighted terms.
+
+    Args:
+        rewards: name of a reward term -> its weighted value (), in units of reward per second.
+        dt: control step, s.
+
+    Returns:
+        (), the reward of the step.
 
     Example:
         >>> import rbjax as rb

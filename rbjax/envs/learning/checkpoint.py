@@ -111,8 +111,7 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
     Raises:
         InputError: not such a folder, or orbax is not installed.
 
-    Example:
-        `save_policy` has one.
+    See `save_policy` for an example.
     """
     folder = Path(path).expanduser().absolute()
     file = folder / "policy.json"

@@ -48,6 +48,15 @@ def new_critic(
     The weights of its last layer are small, so that random gradients of V do not mislead the
     policy.
 
+    Args:
+        env: `rb.envs.Environment`.
+        key: () of `jax.random`.
+        hidden: sizes of the hidden layers.
+        normalise: whether the critic normalises observations by running statistics.
+
+    Returns:
+        `Critic`, a function (o,) -> () of the observation, or of its group "critic".
+
     Example:
         >>> import jax
         >>> import rbjax as rb

@@ -55,15 +55,18 @@ def evaluate(
 
     Args:
         env: `rb.envs.Environment`.
-        policy: a `Policy`, or a function (obs, key) that returns an action; key is None if noise
-            is False.
-        key: of `jax.random`.
+        policy: a `Policy`, or a function (obs, key) that returns an action (na,); key is None if
+            noise is False.
+        key: () of `jax.random`.
         episodes: number of episodes, simulated at the same time.
         noise: whether the policy draws its actions; False for the mean actions.
         params: parameters of the environment; None for its own.
 
     Returns:
-        `Episodes`.
+        `Episodes`, with returns in units of the reward and lengths in control steps.
+
+    Raises:
+        InputError: not an environment, not a key, or fewer than one episode.
 
     Example:
         >>> import jax

@@ -61,7 +61,7 @@ def network(
 
     Args:
         key: of `jax.random`.
-        sizes: of the input, each hidden layer, and the output.
+        sizes: of the input (n,), each hidden layer, and the output (m,).
         activation: "tanh", "elu" or "silu".
         last: factor of the last layer's weights; small, so that the first outputs are near zero.
 

@@ -106,11 +106,12 @@ def new_policy(
         key: of `jax.random`.
         hidden: sizes of the hidden layers.
         activation: "tanh", "elu" or "silu".
-        std: standard deviation of the noise before tanh; None for a policy without noise.
+        std: standard deviation of the noise before tanh, without unit; None for a policy without
+            noise.
         normalise: whether the policy normalises observations by running statistics.
 
     Returns:
-        `Policy`.
+        `Policy`, a function (o,) -> (na,) of the observation group "policy".
 
     Example:
         >>> import jax

@@ -45,7 +45,7 @@ def through_time(
         key: of `jax.random`.
         iterations: number of updates.
         batch: number of samples in each update.
-        rate: the initial learning rate of Adam, with cosine decay to a tenth.
+        rate: the initial learning rate of Adam, without unit, with cosine decay to a tenth.
         optimiser: an optax transformation; Adam with gradients clipped to norm 1 if None.
         params: parameters of the environment, which `Task.curriculum` changes over the training;
             None for `env.default_params`.

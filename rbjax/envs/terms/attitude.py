@@ -12,7 +12,19 @@ from rbjax.sensors.fixed import reading
 
 
 def gravity_direction(frame: Any) -> Term:
-    """Observe the direction of gravity (3,) in the axes of a frame: -R^T e_z."""
+    """Return the term that observes the direction of gravity in the axes of a frame, -R^T e_z.
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`.
+
+    Returns:
+        Function of a `Transition` that returns a unit vector (3,).
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Observation("gravity", rb.envs.terms.gravity_direction("imu"), noise=0.05).noise
+        0.05
+    """
 
     def read(transition: Any) -> jax.Array:
         return reading(transition.after, -frame_at(transition.after, frame).rotation.rows[2])
@@ -21,7 +33,19 @@ def gravity_direction(frame: Any) -> Term:
 
 
 def tilt(frame: Any) -> Term:
-    """Return the squared sine of the angle between z and the vertical: z_x^2 + z_y^2."""
+    """Return the term: the squared sine of the angle between z and the vertical, z_x^2 + z_y^2.
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`.
+
+    Returns:
+        Function of a `Transition` that returns (), without unit.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("upright", rb.envs.terms.tilt("imu"), -5.0).weight
+        -5.0
+    """
 
     def read(transition: Any) -> jax.Array:
         z = frame_at(transition.after, frame).rotation.columns[2]
@@ -31,7 +55,20 @@ def tilt(frame: Any) -> Term:
 
 
 def axis_error(frame: Any, target: tuple[float, float, float]) -> Term:
-    """Return |z - target|^2 of the vertical axis z of a frame, in world axes."""
+    """Return the term: |z - target|^2 of the vertical axis z of a frame, in world axes.
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`.
+        target: unit vector (3,) in world axes.
+
+    Returns:
+        Function of a `Transition` that returns (), without unit.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("level", rb.envs.terms.axis_error("imu", (0.0, 0.0, 1.0)), -1.0).weight
+        -1.0
+    """
 
     def read(transition: Any) -> jax.Array:
         z = frame_at(transition.after, frame).rotation.columns[2]
@@ -41,7 +78,21 @@ def axis_error(frame: Any, target: tuple[float, float, float]) -> Term:
 
 
 def fallen(frame: Any, least: float = 0.0) -> Term:
-    """Check whether z_z < least, the cosine of the angle from the vertical. Zero is 90 degrees."""
+    """Return the termination: whether z_z < least, the cosine of the angle from the vertical.
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`.
+        least: the least cosine of a robot that stands; zero is 90 degrees.
+
+    Returns:
+        Function of a `Transition` that returns () of bool, a value of `Task.terminations`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> terminations = {"fallen": rb.envs.terms.fallen("imu", 0.5)}
+        >>> callable(terminations["fallen"])
+        True
+    """
 
     def read(transition: Any) -> jax.Array:
         return jnp.asarray(frame_at(transition.after, frame).rotation.columns[2][2] < least)

@@ -60,13 +60,34 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
 
 
 def phase_cosines(transition: Any) -> jax.Array:
-    """Observe the cosines and then the sines (2 n,) of the phases."""
+    """Observe the cosines and then the sines of the phases.
+
+    Args:
+        transition: a `Transition`; the term reads its variable "phase" (n,), rad.
+
+    Returns:
+        (2 n,), without unit.
+
+    Example:
+        >>> from types import SimpleNamespace
+        >>> import jax.numpy as jnp
+        >>> from rbjax.envs.terms import phase_cosines
+        >>> phase_cosines(SimpleNamespace(variables={"phase": jnp.zeros(2)})).tolist()
+        [1.0, 1.0, 0.0, 0.0]
+    """
     p = transition.variables["phase"]
     return jnp.concatenate([jnp.cos(p), jnp.sin(p)])
 
 
 def height_of_phase(phase: jax.Array, height: float) -> jax.Array:
-    """Return the height z(p) (n,) of feet, m, that rise to `height`.
+    """Compute the heights z(p) of feet that rise to `height`.
+
+    Args:
+        phase: (n,) phases in [-pi, pi), rad.
+        height: height of a swing, m.
+
+    Returns:
+        (n,), m.
 
     Example:
         >>> import rbjax as rb
@@ -84,11 +105,25 @@ def height_of_phase(phase: jax.Array, height: float) -> jax.Array:
 def follow_phase(
     feet: Feet, height: float, frame: Any, width: float = 0.01, command: str = "command"
 ) -> Term:
-    """Reward feet at the heights of their phases: exp(-sum of (h - z(p))^2 / width).
+    """Return the reward of feet at the heights of their phases: exp(-sum of (h - z(p))^2 / width).
 
     It is zero if the command is zero and the frame moves slower than 0.1 m/s and 0.1 rad/s.
 
-    height: m, of a swing. width: m^2. frame: site or body of the base.
+    Args:
+        feet: the feet (n,) of the robot.
+        height: height of a swing, m.
+        frame: name of a site or of a body of the base, or an `rb.Frame`.
+        width: of the reward, m^2.
+        command: name of the variable of the task with the command.
+
+    Returns:
+        Function of a `Transition` that returns (), from 0 to 1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> feet = rb.envs.terms.Feet(("FR", "FL"), (("FR", "floor"), ("FL", "floor")))
+        >>> rb.envs.Reward("phase", rb.envs.terms.follow_phase(feet, 0.15, "imu")).weight
+        1.0
     """
 
     def read(transition: Any) -> jax.Array:

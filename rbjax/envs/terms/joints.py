@@ -20,7 +20,19 @@ STILL = 0.01
 
 
 def joint_offsets(home: Sequence[float]) -> Term:
-    """Observe q_j - h (n,)."""
+    """Return the term that observes q_j - h.
+
+    Args:
+        home: pose h (n,), rad or m.
+
+    Returns:
+        Function of a `Transition` that returns (n,), rad or m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Observation("q", rb.envs.terms.joint_offsets((0.5, 0.5)), noise=0.03).noise
+        0.03
+    """
     h = np.asarray(home)
 
     def read(transition: Any) -> jax.Array:
@@ -31,7 +43,19 @@ def joint_offsets(home: Sequence[float]) -> Term:
 
 
 def joint_velocities(count: int) -> Term:
-    """Observe the velocities (n,) of the last `count` joints."""
+    """Return the term that observes the velocities of the last joints.
+
+    Args:
+        count: number n of joints.
+
+    Returns:
+        Function of a `Transition` that returns (n,), rad/s or m/s.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Observation("v", rb.envs.terms.joint_velocities(12), noise=1.5).noise
+        1.5
+    """
 
     def read(transition: Any) -> jax.Array:
         return joint_entries(transition.after.v, count)
@@ -40,7 +64,20 @@ def joint_velocities(count: int) -> Term:
 
 
 def pose_error(home: Sequence[float], weights: Any = 1.0) -> Term:
-    """Return the sum of weights * (q_j - h)^2."""
+    """Return the term: the sum of weights * (q_j - h)^2.
+
+    Args:
+        home: pose h (n,), rad or m.
+        weights: number or array (n,), 1/rad^2 or 1/m^2.
+
+    Returns:
+        Function of a `Transition` that returns (), without unit.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("pose", rb.envs.terms.pose_error((0.5, 0.5)), -0.1).weight
+        -0.1
+    """
     offsets = joint_offsets(home)
 
     def read(t: Any) -> jax.Array:
@@ -51,7 +88,20 @@ def pose_error(home: Sequence[float], weights: Any = 1.0) -> Term:
 
 
 def pose_similarity(home: Sequence[float], weights: Any = 1.0) -> Term:
-    """Reward a pose: exp(-sum of weights * (q_j - h)^2)."""
+    """Return the reward of a pose: exp(-sum of weights * (q_j - h)^2).
+
+    Args:
+        home: pose h (n,), rad or m.
+        weights: number or array (n,), 1/rad^2 or 1/m^2.
+
+    Returns:
+        Function of a `Transition` that returns (), from 0 to 1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("pose", rb.envs.terms.pose_similarity((0.5, 0.5)), 0.5).weight
+        0.5
+    """
     error = pose_error(home, weights)
 
     def read(t: Any) -> jax.Array:
@@ -61,9 +111,14 @@ def pose_similarity(home: Sequence[float], weights: Any = 1.0) -> Term:
 
 
 def joint_deviation(home: Sequence[float], weights: Any = 1.0) -> Term:
-    """Return the sum of weights * |q_j - h|.
+    """Return the term: the sum of weights * |q_j - h|.
 
-    weights: number, array (n,), or a function of the transition that returns one.
+    Args:
+        home: pose h (n,), rad or m.
+        weights: number, array (n,), or a function of the transition that returns one; 1/rad or 1/m.
+
+    Returns:
+        Function of a `Transition` that returns (), without unit.
 
     Example:
         >>> import rbjax as rb
@@ -81,7 +136,20 @@ def joint_deviation(home: Sequence[float], weights: Any = 1.0) -> Term:
 
 
 def stand_still(home: Sequence[float], command: str = "command") -> Term:
-    """Return the sum of |q_j - h| if the command is zero, else 0."""
+    """Return the term: the sum of |q_j - h| if the command is zero, else 0.
+
+    Args:
+        home: pose h (n,), rad or m.
+        command: name of the variable of the task with the command.
+
+    Returns:
+        Function of a `Transition` that returns (), rad or m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("still", rb.envs.terms.stand_still((0.5, 0.5)), -1.0).weight
+        -1.0
+    """
     deviation = joint_deviation(home)
 
     def read(transition: Any) -> jax.Array:
@@ -91,7 +159,20 @@ def stand_still(home: Sequence[float], command: str = "command") -> Term:
 
 
 def joint_limit_violation(lower: Sequence[float], upper: Sequence[float]) -> Term:
-    """Return the sum of the distances of q_j beyond limits (n,), max(l - q, 0) + max(q - u, 0)."""
+    """Return the term: the sum of max(l - q_j, 0) + max(q_j - u, 0), the excess over limits.
+
+    Args:
+        lower, upper: limits l and u (n,), rad or m.
+
+    Returns:
+        Function of a `Transition` that returns (), rad or m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> limits = rb.envs.terms.joint_limit_violation((-1.0, -1.0), (1.0, 1.0))
+        >>> rb.envs.Reward("limits", limits, -1.0).weight
+        -1.0
+    """
     low, high = np.asarray(lower), np.asarray(upper)
 
     def read(transition: Any) -> jax.Array:

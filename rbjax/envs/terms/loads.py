@@ -27,12 +27,26 @@ from rbjax.sensors.solution import solution_of
 
 
 def two_foot_loads(context: Context, feet: Feet, floor: float = 0.0) -> jax.Array:
-    """Return the vertical forces (2,) of the floor on two feet, N, at the last physics step.
+    """Compute the vertical forces of the floor on two feet, at the last physics step.
 
-    floor: height of the floor, m.
+    Args:
+        context: `Transition.after`.
+        feet: the two feet of the robot.
+        floor: height of the floor, m.
+
+    Returns:
+        (2,), N.
 
     Raises:
         InputError: a robot without a free joint as its first joint, or another number of feet.
+
+    Example:
+        >>> import rbjax as rb
+        >>> terms = rb.envs.terms
+        >>> feet = terms.Feet(("left", "right"), (("left", "floor"), ("right", "floor")))
+        >>> loads = lambda transition: terms.two_foot_loads(transition.after, feet)
+        >>> rb.envs.Observation("loads", loads, noise=5.0).noise
+        5.0
     """
     model = context.model
     if len(feet.sites) != 2 or model.topology.joint_kinds[:1] != ("free",):
@@ -60,9 +74,23 @@ def two_foot_loads(context: Context, feet: Feet, floor: float = 0.0) -> jax.Arra
 
 
 def excess_load(feet: Feet, most: float, floor: float = 0.0) -> Term:
-    """Return the term: sum of max(f - most, 0) of the vertical forces f on two feet, N.
+    """Return the term: the sum of max(f - most, 0) of the vertical forces f on two feet.
 
-    floor: height of the floor, m."""
+    Args:
+        feet: the two feet of the robot.
+        most: force without a cost, N.
+        floor: height of the floor, m.
+
+    Returns:
+        Function of a `Transition` that returns (), N.
+
+    Example:
+        >>> import rbjax as rb
+        >>> terms = rb.envs.terms
+        >>> feet = terms.Feet(("left", "right"), (("left", "floor"), ("right", "floor")))
+        >>> rb.envs.Reward("impact", terms.excess_load(feet, 500.0), -0.01).weight
+        -0.01
+    """
 
     def read(transition: Any) -> jax.Array:
         return jnp.maximum(two_foot_loads(transition.after, feet, floor) - most, 0.0).sum()

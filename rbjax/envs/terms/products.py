@@ -15,6 +15,13 @@ def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
 
     Use it as `Task.total_reward` if every term is between 0 and 1 and all of them are needed.
 
+    Args:
+        rewards: name of a reward term -> its weighted value (), without unit.
+        dt: control step, s.
+
+    Returns:
+        (), the reward of the step.
+
     Source: Tassa et al., *DeepMind Control Suite*, 2018, sec. 2.4.
 
     Example:
@@ -32,7 +39,12 @@ def clipped_sum(
 
     Use it as `Task.total_reward`.
 
-    low, high: limits of the reward. times_dt: whether the sum is multiplied by the control step.
+    Args:
+        low, high: limits of the reward, in units of the reward.
+        times_dt: whether the sum is multiplied by the control step in s.
+
+    Returns:
+        Function (name -> weighted term (), dt) that returns the reward () of a step.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 

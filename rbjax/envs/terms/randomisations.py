@@ -19,6 +19,14 @@ from rbjax.model import Model
 def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Randomisation:
     """Return the randomisation that sets one coefficient of sliding friction of geoms.
 
+    Args:
+        name: name of the randomisation.
+        geoms: indices of the geoms.
+        low, high: smallest and largest coefficient, without unit.
+
+    Returns:
+        `Randomisation`.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.terms.set_friction("floor", [0], 0.4, 1.0).name
@@ -39,7 +47,21 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
 
 
 def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) -> Randomisation:
-    """Return the randomisation that sets one coefficient of sliding friction of explicit pairs."""
+    """Return the randomisation that sets one coefficient of sliding friction of explicit pairs.
+
+    Args:
+        name: name of the randomisation.
+        pairs: indices of the explicit pairs of geoms of the model.
+        low, high: smallest and largest coefficient, without unit.
+
+    Returns:
+        `Randomisation`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.terms.set_pair_friction("soles", [0, 1], 0.4, 1.0).name
+        'soles'
+    """
 
     def draw(key: Any, params: Any) -> jax.Array:
         return jax.random.uniform(key, (), minval=low, maxval=high)
@@ -86,7 +108,24 @@ def joint_randomisations(
 
 
 def shift_center_of_mass(model: Model, body: str, most: float) -> Randomisation:
-    """Return the randomisation of the center of mass of a body, by at most `most` m an axis."""
+    """Return the randomisation of the center of mass of a body.
+
+    Args:
+        model: the robot.
+        body: name of the body.
+        most: greatest shift along each axis, m.
+
+    Returns:
+        `Randomisation`.
+
+    Raises:
+        UnknownName: no body has this name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.terms.shift_center_of_mass(rb.load("quadruped"), "trunk", 0.05).name
+        'center_of_mass'
+    """
     limit = np.zeros(model.bodies.com.shape)
     limit[model.body(body)] = most
     return random_offset("center_of_mass", lambda m: m.bodies.com, -limit, limit, each=True)

@@ -68,7 +68,7 @@ def tolerance(
     Use it for rewards between 0 and 1, which can be multiplied. The derivative is finite at each x.
 
     Args:
-        x: a number or an array, of any unit.
+        x: a number () or an array (...), of any unit.
         bounds: the lower and the upper bound, which may be infinite or equal, in the unit of x.
         margin: the distance from the bounds at which the result is `value_at_margin`, in the unit
             of x. 0: the result is 0 outside of the bounds.
@@ -77,7 +77,7 @@ def tolerance(
             "quadratic".
 
     Returns:
-        Values in the shape and dtype of x; NaN for x = NaN if the margin is not 0.
+        (...), values in the shape and dtype of x; NaN for x = NaN if the margin is not 0.
 
     Raises:
         InputError: bounds in the wrong order, a negative margin, a value at the margin out of

@@ -19,9 +19,23 @@ def planar_start(model: Model, root: str) -> Callable[[jax.Array, Params], State
 
     The robot may be in the floor at the start, which pushes it out.
 
-    model: the robot, of slides and hinges. root: name of a joint.
+    Args:
+        model: the robot, of slides and hinges.
+        root: name of a joint.
+
+    Returns:
+        Function (key, params) that returns a `State` with q (nq,), rad or m, and zero velocity.
+
+    Raises:
+        UnknownName: no joint has this name.
 
     Source: Tassa et al., *DeepMind Control Suite*, 2018, `randomize_limited_and_rotational_joints`.
+
+    Example:
+        >>> import jax, rbjax as rb
+        >>> start = rb.envs.terms.planar_start(rb.load("pendulum"), "hinge")
+        >>> start(jax.random.key(0), None).q.shape
+        (1,)
     """
     low, high = np.where(np.isfinite(model.joints.range), model.joints.range, 0.0).T
     at = model.topology.joint_q[model.joint(root)]
@@ -36,10 +50,15 @@ def planar_start(model: Model, root: str) -> Callable[[jax.Array, Params], State
 
 
 def random_base(place: jax.Array, turn: jax.Array, height: float, reach: float = 0.5) -> jax.Array:
-    """Draw the pose q (7,) of a level floating base: position, quaternion.
+    """Draw the pose of a level floating base.
 
-    place, turn: keys of random numbers. height: m, of the base.
-    reach: m; x and y are uniform in -reach..reach. The yaw is uniform in -pi..pi.
+    Args:
+        place, turn: keys () of `jax.random`, of the position and of the yaw.
+        height: height of the base, m.
+        reach: x and y are uniform in -reach..reach, m. The yaw is uniform in -pi..pi.
+
+    Returns:
+        (7,), position in m and unit quaternion (w, x, y, z).
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 and G1 joystick.
 

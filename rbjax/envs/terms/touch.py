@@ -32,9 +32,17 @@ ROUND = ("sphere", "capsule", "box")
 
 
 def touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
-    """Observe whether the two geoms of each pair (n,) touch.
+    """Return the term that observes whether the two geoms of each pair touch.
 
-    pairs: names of geoms. reach: m, the greatest distance that counts as touching.
+    Args:
+        pairs: names of the geoms of n pairs.
+        reach: the greatest distance that counts as touching, m.
+
+    Returns:
+        Function of a `Transition` that returns (n,) of bool.
+
+    Raises:
+        InputError: at the evaluation, if pairs is empty.
 
     Example:
         >>> import rbjax as rb
@@ -51,7 +59,24 @@ def touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
 
 
 def any_touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
-    """Check whether the two geoms of at least one pair touch; arguments as of `touching`."""
+    """Return the termination: whether the two geoms of at least one pair touch.
+
+    Args:
+        pairs: names of the geoms of each pair.
+        reach: the greatest distance that counts as touching, m.
+
+    Returns:
+        Function of a `Transition` that returns () of bool, a value of `Task.terminations`.
+
+    Raises:
+        InputError: at the evaluation, if pairs is empty.
+
+    Example:
+        >>> import rbjax as rb
+        >>> terminations = {"fallen": rb.envs.terms.any_touching([("trunk", "floor")])}
+        >>> callable(terminations["fallen"])
+        True
+    """
     each = touching(pairs, reach)
 
     def read(t: Any) -> jax.Array:
@@ -115,9 +140,25 @@ def plane_distance(plane: Shape, name: str, shape: Shape) -> Lane:
 
 
 def box_separation(one: Shape, other: Shape) -> jax.Array:
-    """Return the greatest separation of two boxes along the 15 axes, m, negative if they overlap.
+    """Compute the greatest separation of two boxes along the 15 axes, negative if they overlap.
 
-    It is a lower bound of their distance."""
+    It is a lower bound of their distance.
+
+    Args:
+        one, other: `Shape` of each box in the world; `size` (3,) has half edge lengths, m.
+
+    Returns:
+        (), m.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.contact.geometry.shapes import Shape
+        >>> from rbjax.lanes import Mat3, Vec3
+        >>> size = Vec3(0.25, 0.25, 0.25)
+        >>> one, other = (Shape(Vec3(x, 0.0, 0.0), Mat3.identity(), size) for x in (0.0, 1.0))
+        >>> float(rb.envs.terms.box_separation(one, other))
+        0.5
+    """
     d = other.p - one.p
     edges = [*one.R.columns, *other.R.columns]
     halves = [*one.size, *other.size]

@@ -15,10 +15,16 @@ from rbjax.envs.terms.frames import Term, frame_at, scalar, squares
 
 
 def track_velocity(frame: Any, command: str = "command", width: float = 0.25) -> Term:
-    """Reward the commanded horizontal velocity: exp(-((c_x - v_x)^2 + (c_y - v_y)^2) / width).
+    """Return the reward of a commanded horizontal velocity: exp(-|c_xy - v_xy|^2 / width).
 
-    frame: site or body, in whose axes the command is. command: variable (3,) of the task.
-    width: in m^2/s^2.
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`; c and v are in its axes.
+        command: name of the variable (3,) of the task with the command: c_x, c_y in m/s, c_w in
+            rad/s.
+        width: of the reward, m^2/s^2.
+
+    Returns:
+        Function of a `Transition` that returns (), from 0 to 1.
 
     Example:
         >>> import rbjax as rb
@@ -34,7 +40,22 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
 
 
 def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) -> Term:
-    """Reward the commanded yaw rate: exp(-(c_w - w_z)^2 / width). width: in rad^2/s^2."""
+    """Return the reward of a commanded yaw rate: exp(-(c_w - w_z)^2 / width).
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`; w_z is in its axes.
+        command: name of the variable (3,) of the task with the command: c_x, c_y in m/s, c_w in
+            rad/s.
+        width: of the reward, rad^2/s^2.
+
+    Returns:
+        Function of a `Transition` that returns (), from 0 to 1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("turn", rb.envs.terms.track_yaw_rate("imu"), 0.5).weight
+        0.5
+    """
 
     def read(transition: Any) -> jax.Array:
         return jnp.exp(
@@ -48,7 +69,19 @@ def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) ->
 
 
 def vertical_velocity(*frames: Any) -> Term:
-    """Return the sum of v_z^2 over frames, v in world axes."""
+    """Return the term: the sum of v_z^2 over frames, v in world axes.
+
+    Args:
+        frames: names of sites or of bodies, or `rb.Frame`s.
+
+    Returns:
+        Function of a `Transition` that returns (), m^2/s^2.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("bounce", rb.envs.terms.vertical_velocity("imu"), -0.5).weight
+        -0.5
+    """
 
     def read(transition: Any) -> jax.Array:
         return scalar(
@@ -59,7 +92,19 @@ def vertical_velocity(*frames: Any) -> Term:
 
 
 def roll_and_pitch_rate(frame: Any) -> Term:
-    """Return w_x^2 + w_y^2 of a frame, w in world axes."""
+    """Return the term: w_x^2 + w_y^2 of a frame, w in world axes.
+
+    Args:
+        frame: name of a site or of a body, or an `rb.Frame`.
+
+    Returns:
+        Function of a `Transition` that returns (), rad^2/s^2.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.envs.Reward("rolling", rb.envs.terms.roll_and_pitch_rate("imu"), -0.05).weight
+        -0.05
+    """
 
     def read(transition: Any) -> jax.Array:
         w = frame_at(transition.after, frame).angular_velocity
