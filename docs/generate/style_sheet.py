@@ -41,6 +41,11 @@ SHEET = Template("""\
   font-variant-numeric: tabular-nums;
 }
 
+/* long lines of printed output and of definitions are wrapped */
+.md-typeset .language-text code {
+  white-space: pre-wrap;
+}
+
 /* formulas */
 .md-typeset .formula {
   overflow-x: auto;

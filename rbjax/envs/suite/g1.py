@@ -63,7 +63,7 @@ def g1_joystick(
     hand_contacts: bool = True,
     iterations: int | None = None,
 ) -> Task:
-    """Return the task of a G1 that follows a velocity command on a flat floor.
+    """A G1 follows a velocity command on a flat floor.
 
     Args:
         pushes: whether the velocity of the robot is changed every 5 to 10 s.

@@ -50,7 +50,7 @@ def go1_joystick_flat(
     randomise: bool = False,
     iterations: int | None = None,
 ) -> Task:
-    """Return the task of a Go1 that follows a velocity command on a flat floor.
+    """A Go1 follows a velocity command on a flat floor.
 
     Args:
         pushes: whether forces push the robot (`params.values["push_speed"]`, m/s).
@@ -78,7 +78,7 @@ def go1_joystick_rough(
     height: float = 0.05,
     seed: int = 0,
 ) -> Task:
-    """Return the task of a Go1 that follows a velocity command on rough ground.
+    """A Go1 follows a velocity command on rough ground.
 
     The ground is a height field of 20 m by 20 m with random heights at 256 by 256 points
     (`rb.envs.rough_ground`).
