@@ -233,3 +233,42 @@ def test_reports_and_recommendations_show():
     assert lines(report)[0] == "Report: 'pendulum', 3 states, within tolerances"
     choice = rb.recommend.Recommendation("rk4", 3.0, (Pair("rk4", 3.0),), "it is the cheapest")
     assert lines(choice)[1:] == ["  it is the cheapest", "  a      b", "  'rk4'  3"]
+
+
+def test_tasks_and_environments_list_their_terms():
+    env = rb.envs.make("cart_pole_balance")
+    task = rb.envs.tasks()["go1_joystick_flat"]()
+    steps = "1000 control steps of 0.01 s, 1 physics step in each"
+    assert lines(env)[0] == f"Environment 'cart_pole_balance': {steps}"
+    assert lines(env)[1].split(maxsplit=1) == ["sizes", "action (1,), observation (5,)"]
+    assert lines(env.task) == [f"Task 'cart_pole_balance': {steps}", *lines(env)[2:]]
+    for x in (env, task):
+        assert len(lines(x)) <= display.LINES
+        assert max(map(len, lines(x))) <= display.WIDTH
+    assert all(name in task._repr_html_() for name in [r.name for r in task.rewards])
+
+
+def test_tasks_of_wrong_parts_show():
+    """A task is checked only by `Environment`; an error may print it before."""
+    speed = rb.envs.Observation("speed", lambda transition: transition.after.v)
+    known = {"name": "a", "model": rb.load("pendulum"), "start": None}
+    for groups, rewards in (((speed,), None), ({"policy": speed}, 3), (None, {"x": 1})):
+        x = rb.envs.Task(**known, observations=groups, rewards=rewards, dt=jnp.ones(2))
+        assert lines(x)[0] == "Task 'a': 1000 control steps, 1 physics step in each"
+
+
+def test_a_controller_shows_its_problem_and_options():
+    problem = rb.control.Problem(rb.load("cart_pole"), 5, 0.02, running=[rb.control.Control()])
+    found = lines(rb.control.mpc(problem))
+    assert found[0] == "PredictiveController" and len(found) <= display.LINES
+    assert any(x.split()[:2] == ["problem", "Problem:"] for x in found)
+    assert any(x.split() == ["method", "'ddp'"] for x in found)
+
+
+def test_a_monitor_shows_its_last_report():
+    monitor = rb.envs.learning.Monitor("balance", 200, show=False)
+    assert repr(monitor) == "Monitor 'balance': 0 of 200 steps, 0 reports"
+    with monitor:
+        monitor(100, {"reward": 1.0}, None)
+    assert lines(monitor)[0] == "Monitor 'balance': 100 of 200 steps, 1 report"
+    assert lines(monitor)[-1].split() == ["reward", "1"]

@@ -2,6 +2,7 @@
 
 Files:
     task.py: `Task` and its terms (observations, rewards, variables, events, randomisation).
+    task_table.py: the displays of tasks and environments.
     transition.py: `Transition`, the argument of all terms.
     actions.py: maps of actions to controls.
     episode.py: `Params` and `EnvState`, the pytrees.

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.envs.episode import EnvState, Params
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -40,6 +41,7 @@ def action_center_and_scale(low: Any, high: Any) -> tuple[jax.Array, jax.Array, 
     return limited, center, jnp.where(limited, 0.5 * (high - low), 1.0)
 
 
+@displayed
 @dataclass(frozen=True)
 class Direct:
     """The action is the controls, clipped to their ranges.
@@ -64,6 +66,7 @@ class Direct:
         return _clipped(params.model, action)
 
 
+@displayed
 @dataclass(frozen=True)
 class Scaled:
     """Actions of -1 to 1 are mapped to the ranges of the controls, and clipped to them.
@@ -91,6 +94,7 @@ class Scaled:
         return center + scale * jnp.clip(action, -1.0, 1.0)
 
 
+@displayed
 @dataclass(frozen=True)
 class Offset:
     """The controls are rest + scale * action, clipped to their ranges: targets of servos near a
@@ -128,6 +132,7 @@ class Offset:
         return _clipped(params.model, rest + scale * action)
 
 
+@displayed
 @dataclass(frozen=True)
 class Increment:
     """The action changes the controls: ctrl = last ctrl + scale * action, clipped to their ranges.

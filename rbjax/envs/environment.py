@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from rbjax.arguments import flag, integer
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.problem import Problem
+from rbjax.display import displayed
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.one_sample import run_sample
@@ -28,12 +29,14 @@ from rbjax.envs.control_step import ControlStep, key_of, with_model
 from rbjax.envs.episode import EnvState, Params
 from rbjax.envs.optimal_control import deterministic_step, parts_read, task_problem
 from rbjax.envs.task import Task
+from rbjax.envs.task_table import environment_display
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.meshes import automatic, on_auto_axes, on_explicit_axes
 from rbjax.model import Model
 
 
+@displayed
 class Environment:
     """A task as a functional environment: `reset(key, params)`, `step(key, state, action, params)`.
 
@@ -70,6 +73,8 @@ class Environment:
         >>> obs.shape, reward.shape
         ((4, 5), (4,))
     """
+
+    _display_ = environment_display
 
     def __init__(self, task: Task, *, kernel: bool | None = None):
         check_task(task)

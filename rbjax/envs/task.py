@@ -15,11 +15,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.envs.actions import Direct
 from rbjax.envs.episode import Params
+from rbjax.envs.task_table import task_display
 from rbjax.model import Model, State
 
 
+@displayed
 @dataclass(frozen=True)
 class Observation:
     """An observation term. In several groups the same object has the same value, noise included.
@@ -43,6 +46,7 @@ class Observation:
     delay: tuple[int, int] = (0, 0)
 
 
+@displayed
 @dataclass(frozen=True)
 class Reward:
     """A reward term.
@@ -62,6 +66,7 @@ class Reward:
     weight: float = 1.0
 
 
+@displayed
 @dataclass(frozen=True)
 class Variable:
     """A variable of a task between steps: a command, the phase of a gait, the time in the air.
@@ -84,6 +89,7 @@ class Variable:
     update: Callable[[jax.Array, Any], Any] | None = None
 
 
+@displayed
 @dataclass(frozen=True)
 class Event:
     """An event at the beginning of a control step, such as a push.
@@ -102,6 +108,7 @@ class Event:
     apply: Callable[[jax.Array, Any, Params], Any]
 
 
+@displayed
 @dataclass(frozen=True)
 class Randomisation:
     """A number or an array of the model that is drawn at each reset (domain randomisation).
@@ -206,6 +213,7 @@ def sum_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
     return dt * sum(rewards.values())
 
 
+@displayed
 @dataclass(frozen=True)
 class Task:
     """A task for a policy. `rb.envs.Environment(task)` runs it.
@@ -269,3 +277,5 @@ class Task:
     total_reward: Callable[[Mapping[str, jax.Array], Any], Any] = sum_of_rewards
     curriculum: Callable[[Params, Any], Params] | None = None
     tracked: str | None = None
+
+    _display_ = task_display

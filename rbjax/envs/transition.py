@@ -7,11 +7,13 @@ from typing import Any
 
 import jax
 
+from rbjax.display import displayed
 from rbjax.envs.episode import Params
 from rbjax.forces.context import Context
 from rbjax.model import Model, State
 
 
+@displayed
 @dataclass(frozen=True)
 class Transition:
     """A control step: the state before it, the state after it, and the action.

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.dynamics.algorithms.rnea import LinkForces, generalized_of_links
 from rbjax.dynamics.drivers.choice import Driver, driver
@@ -33,6 +34,7 @@ from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
 
+@displayed
 @dataclass(frozen=True)
 class Context:
     """The state of motion at an instant, as the argument of a force element, constraint or sensor.

@@ -32,6 +32,7 @@ from rbjax.control.optimal.solution import Options, StoppingRule
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
+from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes.arrays import select
@@ -49,6 +50,7 @@ class TickStatus(enum.IntEnum):
 PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
 
 
+@displayed
 class PlannedControl(NamedTuple):
     """The control of a future tick: u (nu,), gains K (nu, n), planned state, `TickStatus` ()."""
 
@@ -58,6 +60,7 @@ class PlannedControl(NamedTuple):
     status: jax.Array
 
 
+@displayed
 class Memory(NamedTuple):
     """The memory of a controller between ticks: the last plan, and its gains K of du = K dx."""
 
@@ -73,6 +76,7 @@ class Memory(NamedTuple):
     gap: jax.Array | None  # (), largest between a step and the next state; None if unconstrained
 
 
+@displayed
 class Run(NamedTuple):
     """The record of a closed loop of T ticks."""
 
@@ -88,6 +92,7 @@ HARDEST = 1e4  # upper bound of the penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 
 
+@displayed
 @dataclasses.dataclass(frozen=True, eq=False)
 class PredictiveController:
     """A model predictive controller, made by `mpc`.
@@ -126,8 +131,7 @@ class PredictiveController:
         knots, us = first_guess(problem, x, ctrl=ctrl)
         found = self._search(problem, x, knots, us, None, self.first)
         whole = _finite((found.knots, found.ctrl, found.K)) & (found.status != NOT_FINITE)
-        given, planned = (knots, us), (found.knots, found.ctrl)
-        knots, us = select(whole, planned, given)
+        knots, us = select(whole, (found.knots, found.ctrl), (knots, us))
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, self._multipliers(found), None, jnp.where(whole, 0, self.patience),
@@ -207,8 +211,7 @@ class PredictiveController:
         def act(t: Any, state: Any) -> jax.Array:
             problem = self.problem_at(t)
             x = problem.system.checked("mpc", state)
-            begin = self.problem.start_time
-            k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
+            k = jnp.floor((t - self.problem.start_time) / problem.dt + 1e-6).astype(int)
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
             knots = take(memory.knots, late)
             ctrls = memory.ctrl[jnp.minimum(late[:-1], N - 1)]
@@ -218,8 +221,6 @@ class PredictiveController:
             return self._acted(problem, self._entry(planned, 0), t, x)
 
         return act
-
-    # the parts
 
     def _search(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
@@ -287,8 +288,7 @@ class PredictiveController:
         return PlannedControl(memory.ctrl[k], memory.K[k], state, status)
 
     def _acted(self, problem: Problem, entry: PlannedControl, t: Any, state: Any) -> jax.Array:
-        """Return the control of a tick: the planned control with feedback, or the fallback
-        policy's."""
+        """Return the control of a tick, planned with feedback or of the fallback policy."""
         u = entry.u
         if self.feedback:
             back = product(entry.K, problem.system.minus(state, entry.state))

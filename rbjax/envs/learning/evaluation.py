@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import instance, integer
+from rbjax.display import displayed
 from rbjax.envs.batch_step import batch_step
 from rbjax.envs.environment import Environment
 from rbjax.kinematics.arguments import check_key
 
 
+@displayed
 class Episodes(NamedTuple):
     """Whole episodes under a policy, each (episodes,).
 

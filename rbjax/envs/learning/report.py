@@ -10,10 +10,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rbjax.display import displayed
+from rbjax.envs.task_table import monitor_display
 from rbjax.optional import require
 from rbjax.progress import has_live_lines, progress_line
 
 
+@displayed
 class Monitor:
     """Record the progress of a training. An instance is the `report` of a learner.
 
@@ -34,6 +37,8 @@ class Monitor:
         >>> monitor.rows[0]["steps"]
         100
     """
+
+    _display_ = monitor_display
 
     def __init__(
         self, label: str, steps: int, folder: Path | None = None, show: bool = True

@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.display import displayed
 from rbjax.envs.task import Variable
 from rbjax.envs.terms.frames import Term, frame_at, length, norm, scalar
 from rbjax.envs.terms.joints import STILL
@@ -27,6 +28,7 @@ from rbjax.lanes import safe_sqrt
 from rbjax.sensors.fixed import reading
 
 
+@displayed
 @dataclass(frozen=True)
 class Feet:
     """The feet of a robot.
