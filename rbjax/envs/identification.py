@@ -166,8 +166,9 @@ def control_grid(env: Environment) -> Grid:
         `rb.sysid.Grid` with the control step in s, the physics steps in it, and the integrator.
 
     Example:
-        >>> import rbjax as rb
-        >>> rb.envs.control_grid(rb.envs.make("damp_flexible_arm")).substeps
+        >>> import dataclasses, rbjax as rb
+        >>> task = dataclasses.replace(rb.envs.tasks()["cart_pole_balance"](), decimation=5)
+        >>> rb.envs.control_grid(rb.envs.Environment(task)).substeps
         5
     """
     sample = ControlStep(env.task)
