@@ -12,12 +12,11 @@ from docs.generate.figures import FIGURES
 
 # rbjax/style.py has these, too: tests/docs/test_figures.py compares
 PALETTE = ("#2a6fb0", "#e8832a", "#3d9a5f", "#7a5ba8", "#c8433f", "#2a9aa0")
-INK, GRID, PALE, NIGHT = "#22303c", "#d9dee3", "#e6edf3", "#3b4652"
+INK, GRID = "#22303c", "#d9dee3"
 WIDTH, LEFT, RIGHT, ROW, GAP, TOP = 720, 150, 84, 20, 10, 56
 STYLE = (
     f"text{{font:13px system-ui,sans-serif;fill:{INK}}}.t{{font-weight:600;font-size:15px}}"
     f".a{{font-size:12px}}.g{{stroke:{GRID};stroke-width:1}}"
-    f"@media(prefers-color-scheme:dark){{text{{fill:{PALE}}}.g{{stroke:{NIGHT}}}}}"
 )
 
 

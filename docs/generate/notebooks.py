@@ -10,6 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+#: what a cell returns whose last line draws
+OF_MATPLOTLIB = re.compile(r"[\[(]*(<matplotlib\.|Text\()|<Axes")
 ANSI = re.compile(r"\x1b\[[0-9;]*m")
 PICTURES = {"image/png": "png", "image/gif": "gif", "image/jpeg": "jpg", "image/webp": "webp"}
 #: longer printed outputs are cut, in lines
@@ -61,7 +63,7 @@ def outputs(found: list[dict[str, Any]], notebook: Notebook, heading: str) -> li
         elif one["output_type"] == "error":
             raise ValueError(f"{notebook.name}.ipynb has an error: {one['ename']}: {one['evalue']}")
         else:
-            shown.append(display(one["data"], notebook, heading))
+            shown += filter(None, [display(one["data"], notebook, heading)])
     return ([fenced(printed)] if printed.strip() else []) + shown
 
 
@@ -80,7 +82,8 @@ def display(data: dict[str, Any], notebook: Notebook, heading: str) -> str:
             return f"![{heading}]({name})"
     if html:
         return f"<div>{html}</div>"
-    return fenced("".join(data.get("text/plain", "")))
+    text = "".join(data.get("text/plain", ""))
+    return "" if OF_MATPLOTLIB.match(text) else fenced(text)
 
 
 def frame(name: str, title: str) -> str:

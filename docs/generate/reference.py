@@ -51,7 +51,7 @@ def page(room: str) -> str:
     doc = inspect.getdoc(package) or ""
     lines = [f"# {title}", "", intro(doc, room), ""]
     if inner := rooms.inner_rooms(room):
-        lines += ["Rooms inside: " + ", ".join(inner_link(room, r) for r in inner) + ".", ""]
+        lines += ["Modules inside: " + ", ".join(inner_link(room, r) for r in inner) + ".", ""]
     used = {title}
     for head, found in rooms.groups(room).items():
         lines += [f"## {head}", ""] if head not in used else []
@@ -66,7 +66,7 @@ def intro(doc: str, room: str) -> str:
     if not room:
         return (
             "The functions and classes of the top level, by subject. "
-            "`import rbjax as rb` gives them and the rooms, which are imported on first use."
+            "`import rbjax as rb` gives them and the modules, which are imported on first use."
         )
     kept = []
     for paragraph in doc.split("\n\n"):
@@ -127,8 +127,8 @@ def index() -> str:
     """The rooms by subject. Their order here is their order in the site."""
     lines = [
         "# Reference", "",
-        "Every public name by room, from its docstring; the registries; the command line; errors; "
-        "the features of robot files.", "",
+        "Every public name by module, from its docstring; the registries; the command line; "
+        "errors; the features of robot files.", "",
         "- [Top level](rbjax.md): load, simulate, dynamics, kinematics, compile",
     ]  # fmt: skip
     for subject, found in rooms.SUBJECTS.items():

@@ -44,9 +44,13 @@ TABLES = {
             *(
                 C(lambda row, name=name: f"{row['settings'][name]:g}", text)
                 for name, text in (
-                    ("reward_scale", "factor of the reward"), ("discount", "discount"),
-                    ("rate", "rate"), ("critic_rate", "rate of V"), ("std", "noise"),
-                    ("slow", "update of V'"), ("limit", "limit of each gradient"),
+                    ("reward_scale", "factor of the reward"),
+                    ("discount", "discount"),
+                    ("rate", "rate"),
+                    ("critic_rate", "rate of V"),
+                    ("std", "noise"),
+                    ("slow", "update of V'"),
+                    ("limit", "limit of each gradient"),
                     ("ramp", "softer contacts"),
                 )
             ),

@@ -97,12 +97,12 @@ METHODS: dict[str, Method] = {
         "times, constraints on the path, and guesses of states that no controls produce",
     ),
     "gauss_legendre": collocation(
-        gauss(3), "the same of order 6, with three stages inside each step: few long steps"
+        gauss(3), "collocation of order 6, with three stages inside each step: few long steps"
     ),
-    "gauss_legendre_4": collocation(gauss(2), "the same with two stages, of order 4"),
-    "gauss_legendre_8": collocation(gauss(4), "the same with four stages, of order 8"),
+    "gauss_legendre_4": collocation(gauss(2), "collocation with two stages, of order 4"),
+    "gauss_legendre_8": collocation(gauss(4), "collocation with four stages, of order 8"),
     "radau": collocation(
-        radau_iia(3), "the same of order 5; damps stiff modes, and enforces constraints at knots"
+        radau_iia(3), "collocation of order 5; damps stiff modes, and enforces constraints at knots"
     ),
     "adam": Method(
         functools.partial(solve_single_shooting, inner=adam_search), True, True,
@@ -117,7 +117,7 @@ METHODS: dict[str, Method] = {
         functools.partial(solve_single_shooting, inner=levenberg_marquardt_search), True, True,
         "single shooting by Levenberg and Marquardt's method: costs that are all residuals",
     ),
-    "trapezoidal": collocation(lobatto_iiia(2), "the same of order 2: rough and cheap"),
+    "trapezoidal": collocation(lobatto_iiia(2), "collocation of order 2: rough and cheap"),
 }  # fmt: skip
 
 
