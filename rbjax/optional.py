@@ -7,7 +7,9 @@ are exceptions.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 from typing import Any
 
 from rbjax.errors import MissingPackage
@@ -30,7 +32,8 @@ EXTRAS = {
 
 
 def require(where: str, module: str, instead: str = "") -> Any:
-    """Import a module of an optional package.
+    """Import a module of an optional package. What the package prints meanwhile is dropped: Brax
+    names the accelerators that it lacks.
 
     Args:
         where: function that needs it, for the message.
@@ -51,7 +54,8 @@ def require(where: str, module: str, instead: str = "") -> Any:
     package = module.partition(".")[0]
     name, extra = EXTRAS[package]
     try:
-        return importlib.import_module(module)
+        with contextlib.redirect_stdout(io.StringIO()):
+            return importlib.import_module(module)
     except ImportError as error:
         if error.name is not None and error.name.partition(".")[0] != package:
             raise  # the package is installed, and one of its own imports fails
