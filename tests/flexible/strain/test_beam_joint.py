@@ -165,7 +165,7 @@ def test_mass_is_the_integral_of_the_section():
 
 def test_frequencies_of_a_cantilever():
     """Eight coordinates, by K and the mass matrix of the frames. The second and third modes are as
-    accurate as degree 7 is."""
+    accurate as degree 7 is; the first one as the rounding of LAPACK (3e-11 with NumPy 2.0)."""
     beam = strain_beam({"k_z": 7})
     n, params = beam.coordinates, beam.values_of(rotary_inertia=(0.0, 0.0, 0.0))
     M = np.zeros((n, n))
@@ -176,7 +176,7 @@ def test_frequencies_of_a_cantilever():
     squares = np.sort(np.linalg.eigvals(np.linalg.solve(M, K)).real)[:3]
     want = np.array([3.5160152685562953, 22.034491565680984, 61.69721441355056])
     errors = np.abs(np.sqrt(squares) / want - 1)
-    assert (errors < [1e-11, 2e-8, 2e-6]).all(), errors
+    assert (errors < [1e-10, 2e-8, 2e-6]).all(), errors
 
 
 def test_frames_of_a_circular_arc():
