@@ -1,34 +1,25 @@
-"""Makes the animations of docs/animations: `python -m docs.generate.animations [NAME ...]`.
+"""The animations: each is one HTML file of at most 300 kB, which plays without a network.
 
-Each is one HTML file of at most 300 kB, which plays without a network. They are stored in the
-repository, because making them takes minutes and imports JAX.
+`python -m docs.generate.animations [NAME ...]` simulates the motions, which takes minutes, and
+stores them in `docs/generate/motions`. The pages are made of them when the site is built.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import html
+import json
+import re
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "docs" / "animations"
+FOLDER = Path(__file__).parent / "motions"
 LARGEST = 300_000
 
-GRIPPER = """<mujoco><option cone="elliptic"/><default><geom friction="0.8"/></default><worldbody>
-  <geom type="plane" size="0.3 0.3 1"/>
-  <body name="hand" pos="0 0 0.16"><joint name="lift" type="slide" axis="0 0 1"/>
-    <geom type="box" size="0.07 0.02 0.015" mass="0.5" contype="0" conaffinity="0"/>
-    <body name="left" pos="-0.05 0 -0.07"><joint name="left" type="slide" axis="1 0 0"/>
-      <geom type="box" size="0.006 0.015 0.055" mass="0.1" rgba="0.16 0.4 0.7 1"/></body>
-    <body name="right" pos="0.05 0 -0.07"><joint name="right" type="slide" axis="-1 0 0"/>
-      <geom type="box" size="0.006 0.015 0.055" mass="0.1" rgba="0.16 0.4 0.7 1"/></body></body>
-  <body name="cube" pos="0 0 0.025"><freejoint/>
-    <geom type="box" size="0.025 0.025 0.025" mass="0.2" rgba="0.93 0.5 0.15 1"/></body></worldbody>
-  <contact><exclude body1="left" body2="right"/></contact>
-  <actuator><position joint="lift" kp="2000" kv="110"/>
-    <motor joint="left"/><motor joint="right"/></actuator></mujoco>"""
 PALM = """<mujoco><option gravity="0 0 0"/><worldbody>
   <geom type="cylinder" size="0.06 0.01" pos="0 0 0.15" rgba="0.45 0.5 0.55 1"/>
   </worldbody></mujoco>"""
@@ -49,11 +40,13 @@ def grasping(path: Path) -> None:
     import jax.numpy as jnp
 
     import rbjax as rb
+    from docs.generate.pictures.motions import GRIPPER
 
     model = rb.load(GRIPPER)
     t = 0.002 * jnp.arange(1500)
     lift = 0.15 * jnp.clip((t - 0.3) / 0.7, 0.0, 1.0)
-    commands = jnp.stack([lift, jnp.full(1500, 5.0), jnp.full(1500, 5.0)], -1)
+    turn, grip = jnp.zeros(1500), jnp.full(1500, 5.0)
+    commands = jnp.stack([lift, turn, grip, grip], -1)
     start = model.default_state()
     run = rb.rollout(model, start, commands, 0.002, contact="coulomb", save_every=20)
 
@@ -70,7 +63,7 @@ def grasping(path: Path) -> None:
 
 
 def wheels(path: Path) -> None:
-    """A car pulls a trailer round a figure of eight, by pure pursuit."""
+    """A car pulls a trailer round a figure of eight, by Stanley's law."""
     import jax
     import jax.numpy as jnp
 
@@ -158,17 +151,36 @@ MADE: dict[str, Callable[[Path], None]] = {
 }
 
 
+def pages(root: Path) -> dict[str, str | bytes]:
+    """The page of each motion."""
+    from rbjax.plotting.web_page import page_text
+
+    found = {name: json.loads((FOLDER / f"{name}.json").read_text()) for name in MADE}
+    return {f"animations/{name}.html": page_text(**motion) for name, motion in found.items()}
+
+
+def motion_of(page: str) -> dict[str, str | dict]:
+    """Return the title of a page and the data that its program draws."""
+    title = re.search(r"<title>(.*?)</title>", page)
+    data = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert title is not None and data is not None
+    return {"title": html.unescape(title[1]), "data": json.loads(data[1])}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(MADE), choices=[*MADE, []])
     FOLDER.mkdir(exist_ok=True)
     for name in parser.parse_args().names:
-        path = FOLDER / f"{name}.html"
-        MADE[name](path)
-        size = path.stat().st_size
-        print(f"{path.relative_to(ROOT)}: {size / 1e3:.0f} kB")
+        with tempfile.TemporaryDirectory() as folder:
+            page = Path(folder) / f"{name}.html"
+            MADE[name](page)
+            text = page.read_text()
+        size = len(text.encode())
+        print(f"{name}.html: {size / 1e3:.0f} kB")
         if size > LARGEST:
             raise SystemExit(f"{name}.html has {size} bytes, more than {LARGEST}: fewer frames")
+        (FOLDER / f"{name}.json").write_text(json.dumps(motion_of(text)) + "\n")
 
 
 if __name__ == "__main__":

@@ -49,14 +49,18 @@ def write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) 
         fps: frames per second.
         speed: seconds of motion per second of the page.
     """
+    path.write_text(page_text(page_data(film, fps, speed), title))
+
+
+def page_text(data: dict[str, Any], title: str) -> str:
+    """Return the page of `page_data`."""
 
     def read(name: str) -> str:
         return resources.files("rbjax.plotting").joinpath(name).read_text()
 
-    data = json.dumps(page_data(film, fps, speed))
     text = read("page.html").replace("__SCRIPT__", read("page.js"))
     text = text.replace("__TITLE__", html.escape(title or "rbjax"))
-    path.write_text(text.replace("__DATA__", data))
+    return text.replace("__DATA__", json.dumps(data))
 
 
 def page_data(film: Film, fps: float, speed: float) -> dict[str, Any]:
