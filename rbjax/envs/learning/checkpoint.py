@@ -93,7 +93,7 @@ def save_policy(
     checkpointer.save(folder / head["arrays"], _arrays(policy))
     (folder / "policy.json.new").write_text(_json(head))
     (folder / "policy.json.new").replace(folder / "policy.json")
-    for name in earlier:
+    for name in earlier:  # one that cannot be removed is not read: policy.json names the arrays
         shutil.rmtree(folder / name, ignore_errors=True)
     return folder
 

@@ -8,6 +8,7 @@ Files:
     go1.py: a Unitree Go1 that follows velocity commands, on flat or rough ground.
     hopper.py: a planar hopper that stands or hops.
     ice.py: a car with tyre slip races on ice.
+    legged.py: what the legged tasks share.
     trailer.py: a car parks its trailer backwards.
     walker.py: a planar walker that stands, walks or runs.
     panda.py: an arm that picks up a cube.

@@ -30,10 +30,11 @@ from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
+from rbjax.envs.suite.legged import noise_free
 from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.loading import load
 from rbjax.model import Model, State
-from rbjax.sensors import Accelerometer, AngularVelocity, Gyro, Velocimeter
+from rbjax.sensors import Gyro, Velocimeter
 
 #: control step, s, and physics steps in it
 DT, DECIMATION = 0.02, 10
@@ -141,13 +142,7 @@ def _policy() -> tuple[Observation, ...]:
 def _hidden(feet: terms.Feet) -> tuple[Observation, ...]:
     """Return the observations that a robot cannot measure."""
     return (
-        Observation("true_gyro", Gyro(PELVIS)),
-        Observation("accelerometer", Accelerometer(PELVIS)),
-        Observation("true_gravity", terms.gravity_direction(PELVIS)),
-        Observation("true_velocity", Velocimeter(PELVIS)),
-        Observation("angular_velocity", AngularVelocity(PELVIS)),
-        Observation("true_joint_positions", terms.joint_offsets(HOME)),
-        Observation("true_joint_velocities", terms.joint_velocities(len(HOME))),
+        *noise_free(PELVIS, HOME),
         Observation("height", lambda transition: transition.after.q[2]),
         Observation("actuator_forces", terms.forces),
         Observation("contact", lambda transition: transition.variables["last_contact"]),

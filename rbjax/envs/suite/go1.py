@@ -24,11 +24,12 @@ from rbjax.envs.actions import Offset
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
+from rbjax.envs.suite.legged import noise_free
 from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.envs.terrain import rough_ground
 from rbjax.loading import load
 from rbjax.model import Model, State
-from rbjax.sensors import Accelerometer, AngularVelocity, Gyro, Velocimeter
+from rbjax.sensors import Gyro, Velocimeter
 
 #: control step, s, and physics steps in it
 DT, DECIMATION = 0.02, 5
@@ -160,13 +161,7 @@ def _hidden(feet: terms.Feet, pushes: bool) -> tuple[Observation, ...]:
         return jnp.concatenate([mass * a, jnp.any(a != 0)[None].astype(a.dtype)])
 
     return (
-        Observation("true_gyro", Gyro(IMU)),
-        Observation("accelerometer", Accelerometer(IMU)),
-        Observation("true_gravity", terms.gravity_direction(IMU)),
-        Observation("true_velocity", Velocimeter(IMU)),
-        Observation("angular_velocity", AngularVelocity(IMU)),
-        Observation("true_joint_positions", terms.joint_offsets(HOME)),
-        Observation("true_joint_velocities", terms.joint_velocities(len(HOME))),
+        *noise_free(IMU, HOME),
         Observation("actuator_forces", terms.forces),
         Observation("contact", lambda transition: transition.variables["last_contact"]),
         Observation("foot_velocities", feet.velocities),
