@@ -95,7 +95,7 @@ bench: $(STAMP) ## every benchmark, an hour; results by device in benchmarks/res
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/benchmarks/figures/failure_map.png
 	$(BIN)/python -m benchmarks.maps.failure_map
 
-wheel-contact: $(STAMP) ## wheels that roll beside MuJoCo's and slipping ones, 15 minutes; docs/guides/figures/wheel_contact.png
+wheel-contact: $(STAMP) ## rolling wheels compared with slipping ones and MuJoCo, 15 minutes; docs/guides/figures/wheel_contact.png
 	$(BIN)/python -m benchmarks.accuracy.wheel_contact
 
 bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and pictures in docs/

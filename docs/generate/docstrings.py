@@ -16,7 +16,7 @@ from docs.generate.plain_text import markdown
 
 #: written by `python -m docs.generate`: a name as text, and the path under which it is described
 LINKS = Path(__file__).parents[2] / ".cache" / "links.json"
-#: likewise: the parameters of classes, each (name, kind, annotation, default)
+#: the same for the parameters of classes, each (name, kind, annotation, default)
 SIGNATURES = LINKS.with_name("signatures.json")
 
 

@@ -20,7 +20,7 @@ LONGEST = 60
 
 @dataclass
 class Notebook:
-    """An executed notebook: title, first paragraph, Markdown below the title, files beside it."""
+    """An executed notebook: title, first paragraph, Markdown below the title, its files."""
 
     name: str
     title: str = ""

@@ -9,7 +9,7 @@ from pathlib import Path
 from docs.generate import rooms, tree
 from docs.generate.plain_text import escaped
 
-#: pages beside the rooms
+#: pages in addition to the rooms
 EXTRA = [
     "- [Registries](registries/index.md): joints, forces, contact laws, constraints, solvers, "
     "sensors, wheels, beams, tasks, methods",

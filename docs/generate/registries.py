@@ -229,7 +229,7 @@ def wheels() -> str:
 
 
 def beams() -> str:
-    """Beams, cross-sections, and the elements of the literature beside which they are tested."""
+    """Beams, cross-sections, and the elements of the literature with which they are compared."""
     sections = [rb.flexible.circle, rb.flexible.tube, rb.flexible.rectangle, rb.flexible.ellipse,
                 rb.flexible.section]  # fmt: skip
     strains = [(f"`{s}`", STRAINS[s]) for s in rb.flexible.strain.STRAINS]

@@ -15,7 +15,7 @@ from docs.generate import measured
 from docs.generate.measured import Row
 
 SHOWN = 2  # lines of origin below a table; more are folded
-DATA = "results"  # beside the pages on the site
+DATA = "results"  # in the folder of the pages, on the site
 
 
 #: how robots and engines are written

@@ -1,4 +1,4 @@
-"""Accuracy: against MuJoCo C in f64 and f32, of MJX beside it, of libraries of rotations."""
+"""Accuracy of rbjax and MJX against MuJoCo C in f64 and f32, and of libraries of rotations."""
 
 from docs.generate.tables import Column as C
 from docs.generate.tables import Pivot, Table

@@ -1,4 +1,4 @@
-"""One core of a CPU: algorithms, calls, machine code beside XLA, compile times."""
+"""One core of a CPU: algorithms, calls, machine code compared with XLA, compile times."""
 
 from docs.generate.tables import Column as C
 from docs.generate.tables import Pivot, Table
