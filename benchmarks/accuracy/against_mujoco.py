@@ -113,13 +113,13 @@ def main() -> None:
             model = rb.load(m)
         q, v, tau = states(m, COUNT)
         theirs = reference(m, q, v, tau)
-        full = errors(ours(model, q, v, tau), theirs)
+        double = errors(ours(model, q, v, tau), theirs)
         single = errors(ours(model, *(x.astype(np.float32) for x in (q, v, tau))), theirs)
         row = {
             "model": name,
             "nv": m.nv,
-            "f64 max": full.max(),
-            "f64 worst": QUANTITIES[full.max(1).argmax()],
+            "f64 max": double.max(),
+            "f64 worst": QUANTITIES[double.max(1).argmax()],
         }
         row |= {"f32 median": float(np.median(single)), "f32 max": single.max()}
         row |= {"f32 FD median": float(np.median(single[-1])), "f32 FD max": single[-1].max()}
