@@ -15,11 +15,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
+import rbjax as rb
 from benchmarks.shared.charts import PAGE, save_chart
 from benchmarks.shared.timing import RESULTS, markdown_table
 from benchmarks.work.lines import CPU, DOCS, FIGURES, GPU, WANTED, Rows, at, lines, read, visible
 from benchmarks.work.scenes import SCENES
-from benchmarks.work.solvers import MAKERS
 from benchmarks.work.solvers_chart import gaps, solver_pictures, solver_tables
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
@@ -179,10 +179,10 @@ distance of two states and the references (closed forms or runs whose own error 
 
 ## Solvers of `rb.solvers` through `simulate`
 
-All {count} solvers with constant steps, diffrax' Tsit5 and Dopri8 among them; the fastest of each
-family to an error of {wanted:g}, in microseconds per robot and simulated second. In brackets: none
-reaches that, and this is for 1e-4; "-": nor that. "~": the line ends above it, by less than ten
-times, and is prolonged (f64).
+The {count}<!-- = count.solvers --> solvers of rbjax, and diffrax' Tsit5 and Dopri8, with constant
+steps: the fastest of each family to an error of {wanted:g}, in microseconds per robot and simulated
+second. In brackets: none reaches that, and this is for 1e-4; "-": nor that. "~": the line ends
+above it, by less than ten times, and is prolonged (f64).
 
 {solvers}
 
@@ -229,7 +229,7 @@ def main() -> None:
     stiffness(stiff)
     text = TEXT.format(
         wanted=WANTED, table=found, crossover=crossover(stiff), solvers=solver_tables(rows),
-        gaps=gaps(rows), count=len(MAKERS), options=without_options(rows),
+        gaps=gaps(rows), count=len(rb.solvers.all()), options=without_options(rows),
     )  # fmt: skip
     (DOCS / "work-precision.md").write_text(text)
     print(found, crossover(stiff), sep="\n")

@@ -5,8 +5,10 @@ import doctest
 import pytest
 
 from docs.generate import bars, benchmarks, figures, measured, tables, tutorials
+from docs.generate.figures import kinds
 from docs.generate.subjects import TABLES
 from rbjax import style
+from tests import tolerances
 
 
 def test_typed_numbers_equal_the_results():
@@ -47,6 +49,16 @@ def test_a_wrong_number_is_found(tmp_path):
     (tmp_path / "README.md").write_text("at 12<!-- = gpu.contact.go1.rollout --> million")
     (found,) = figures.differing(tmp_path)
     assert "README.md" in found and "12" in found
+
+
+def test_a_tolerance_and_a_cell_are_read():
+    assert kinds.Held("body/test_tops.py", "TOLERANCE = ").value() == 1e-11
+    assert kinds.Held("forces/test_pid.py", "))) < ").value() == tolerances.F64_PARITY
+    page = "benchmarks/work-precision.md"
+    assert kinds.Cell(page, ("pendulum", "H200"), "mjx/rbjax").value() > 10
+    for missing in (kinds.Held("body/test_tops.py", "BOUND = "), kinds.Cell(page, ("rope",), "on")):
+        with pytest.raises(LookupError, match=r"no (number|row)"):
+            missing.value()
 
 
 def test_a_page_without_its_table_is_stale():
