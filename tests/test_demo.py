@@ -11,7 +11,6 @@ import pytest
 from rbjax.demo import demo
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
-from rbjax.demo.landing import landing
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section
@@ -39,14 +38,6 @@ def check(section: Section, folder: Path) -> None:
 def test_motion(tmp_path: Path) -> None:
     section = motion(tmp_path, quiet, batch=2, scenes=("cart_pole",))
     check(section, tmp_path)
-
-
-def test_a_quadruped_lands_and_stands(tmp_path: Path) -> None:
-    section = landing(tmp_path, quiet, batch=2)
-    check(section, tmp_path)
-    (row,) = section.rows
-    assert float(row[3]) > 2 and 0.9 < float(row[4]) < 1.1
-    assert "and all of them converged" in section.note
 
 
 def test_validation(tmp_path: Path) -> None:

@@ -14,9 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.contact import ContactForces, solve
-from rbjax.demo.landing import touching
 from rbjax.demo.report import Section
-from rbjax.loading import load
+from rbjax.loading import compile_model, load
 from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
 from rbjax.motion.trajectory import Trajectory
@@ -34,6 +33,19 @@ def trot(t: jax.Array) -> jax.Array:
     z = grown * jnp.where(swing, 0.06 * jnp.sin(jnp.pi * s) ** 2, 0.0) - 0.363
     knee = -2 * jnp.arccos(jnp.hypot(x, z) / 0.44)
     return jnp.stack([0 * x, jnp.arctan2(-x, -z) - knee / 2, knee], -1).ravel()
+
+
+def touching(scene: str, part: str = "foot") -> Model:
+    """Load a bundled robot of which geoms touch the floor. The geoms of the scene do not.
+
+    part: a part of the names of the geoms that touch; "" for all.
+    """
+    m = compile_model(scene)
+    for k in range(m.ngeom):
+        name = m.geom(k).name
+        m.geom_conaffinity[k] = name == "floor"
+        m.geom_contype[k] = name != "floor" and part in name
+    return load(m)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ import matplotlib
 
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
-from rbjax.demo.landing import landing
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
 from rbjax.demo.report import Section, write
@@ -31,7 +30,6 @@ from rbjax.demo.validate import validate
 #: section -> its function, and its weight in progress bars
 PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "motion": (motion, 15),
-    "landing": (landing, 12),
     "validate": (validate, 35),
     "identify": (identify, 15),
     "integrators": (integrators, 40),
@@ -44,7 +42,7 @@ if FOLDER.is_dir():
 #: parts that measure no computing time, and notebooks that run at the same time in a process
 UNTIMED, CONCURRENT = ("validate", "identify"), ("forces", "joints")
 #: the parts that run by default, in two minutes on two cores
-SHORT = ("motion", "landing", "validate", "identify", "integrators", "forces", "joints")
+SHORT = ("motion", "validate", "identify", "integrators", "forces", "joints")
 
 _LEAD = (
     "Differentiable rigid-body dynamics in JAX. A robot file goes in. Fast, accurate and "
@@ -69,8 +67,8 @@ def demo(
         folder: for the output; created if absent.
         say: called with the name of each stage before it starts.
         done: called with a part's name and weight after it ends.
-        options: part -> keyword arguments; None skips the part. The parts are motion, landing,
-            validate, identify, integrators, and the notebooks forces, joints, loops, wheels,
+        options: part -> keyword arguments; None skips the part. The parts are motion,
+            validate, identify and integrators, and the notebooks forces, joints, loops, wheels,
             planning, gpu_threads, swing_up, contact and walking.
         everything: also run the parts that are neither in `SHORT` nor in `options`.
 

@@ -3,9 +3,8 @@
     stability_function, characteristic    R(z) and phi(zeta, z), in exact arithmetic
     multistep, rb.solvers.Tableau         user-defined methods, for all functions below
     linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
-    growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
-                                          properties of one step of the solver's code (the limit is
-                                          exact if there is linear theory)
+    growth_factors, spectral_radius, dissipation, period_elongation
+                                          properties of one step of the solver's code
     order_by_conditions, measured_order   by rooted trees, and by halving the step
     state_matrix, reduced_linearisation, stable_step, measured_stable_step
                                           a robot's linearised motion, and its largest stable step
@@ -60,7 +59,6 @@ from rbjax.stability.theory.multistep_roots import (
 from rbjax.stability.theory.oscillator import (
     dissipation,
     growth_factors,
-    oscillation_limit,
     oscillator_factors,
     period_elongation,
     spectral_radius,
@@ -98,7 +96,6 @@ __all__ = [
     "spectral_radius",
     "dissipation",
     "period_elongation",
-    "oscillation_limit",
     "MeasuredOrder",
     "measured_order",
     # a robot's motion, linearised

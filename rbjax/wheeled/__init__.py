@@ -40,7 +40,7 @@ from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
 from rbjax.wheeled.tyres.element import Contact, TyreOnGround
 from rbjax.wheeled.tyres.laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from rbjax.wheeled.tyres.relaxation import Relaxing
-from rbjax.wheeled.tyres.tyre import RollingResistance, Tyre, traction_along
+from rbjax.wheeled.tyres.tyre import RollingResistance, Tyre
 
 __all__ = [
     "Arrangement",
@@ -90,7 +90,6 @@ __all__ = [
     "stanley",
     "start",
     "tracking_gains",
-    "traction_along",
     "undetermined",
     "with_trailers",
     "write_mjcf",

@@ -161,10 +161,6 @@ WHEELED: Calls = {
         "model": VEHICLE, "states": rb.State(jnp.zeros((3, STATE.q.size)), jnp.zeros((3, 2))),
         "ctrl": np.zeros((2, 2)), "dt": 0.1, "Q": np.ones(STATE.q.size + 2), "R": np.ones(2),
     },
-    "traction_along": {
-        "law": wheeled.Fiala(12.0, 0.8), "ux": 0.1, "uy": 0.1, "roll_speed": 2.0,
-        "direction": (1.0, 0.0),
-    },
     "with_trailers": {"robot": ROBOT, "number": 1, "hitch": 0.0, "drawbar": 1.0, "track": 0.5,
                       "radius": 0.1, "mass": 20.0, "inertia": 1.0},
     "write_mjcf": {"robot": ROBOT, "wheel": "ellipsoid", "width": 0.25, "friction": 1.0},

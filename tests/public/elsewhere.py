@@ -45,7 +45,7 @@ ELSEWHERE: dict[str, set[str]] = {
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",
                   "imaginary_limit", "limit_cycle", "linear_analysis", "lyapunov", "measured_order",
                   "measured_stable_step", "motion_matrices", "multistep", "order_by_conditions",
-                  "oscillation_limit", "oscillator_factors", "pece", "period_elongation",
+                  "oscillator_factors", "pece", "period_elongation",
                   "plot_regions", "plot_spectral_radius", "real_limit",
                   "reduced_linearisation", "scenes", "spectral_radius", "stability_function",
                   "stability_region", "stable_step", "stiff_stability", "trend", "truth",

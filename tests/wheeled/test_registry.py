@@ -106,10 +106,6 @@ def tracking_gains(q, v, controls, Q, R):
     return wheeled.tracking_gains(vehicle, State(q, v), controls, DT, Q, R)
 
 
-def traction_along(u, direction):
-    return jnp.stack(wheeled.traction_along(cast(TYRE, u), *u, (direction[0], direction[1])))
-
-
 def law(record: Any) -> Callable:
     """The traction and the rates of a law, by its numbers too."""
 
@@ -199,7 +195,6 @@ REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
     "tracking_gains": (
         tracking_gains, drawn(q=(3, 5), v=(3, 2), controls=(2, 2), Q=np.ones(7), R=np.ones(2)),
     ),
-    "traction_along": (traction_along, drawn(u=ROLLS, direction=2)),
     "RollingResistance": (
         resisting, drawn(coefficient=0.02 * ONE, load=10 * ONE, radius=ONE, speed=0.1 * ONE),
     ),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.wheeled import Fiala, Linear, RollingResistance, traction_along
-from tests.wheeled.laws import EVERY, LAWS, by_complex_step, limits, slopes_agree
+from rbjax.wheeled import Linear, RollingResistance
+from tests.wheeled.laws import EVERY, by_complex_step, slopes_agree
 
 # u_x, u_y, r phi': rolls, stands, is locked, spins on the spot, backwards, against its way, drifts
 MOTIONS = np.array([
@@ -47,31 +47,6 @@ def test_derivatives_by_motion(law):
         return jnp.concatenate([jnp.stack(law.response(*m)[0]) for m in x.reshape(-1, 3)])
 
     assert slopes_agree(f, jnp.ravel(MOTIONS)) < 1e-10
-
-
-def test_free_rollers():
-    """Nothing across their axis; along it the law, and a loss."""
-    rng, law = np.random.default_rng(3), LAWS["tmeasy, two"]
-    u = jnp.asarray(rng.normal(size=(3, 200)) * 10 ** rng.uniform(-6, 2, 200))
-    for angle in (0.0, np.pi / 4, -np.pi / 4, np.pi / 2):
-        a = np.cos(angle), np.sin(angle)
-        x, y = traction_along(law, *u, a)
-        np.testing.assert_allclose(x * a[1] - y * a[0], 0, atol=1e-15)
-        assert np.all(x * (u[0] - u[2]) + y * u[1] <= 0)
-        assert np.all(np.hypot(x, y) <= limits(law)[0])
-        if angle == 0.0:
-            slip = (u[0] - u[2]) / np.hypot(u[2], law.smooth_speed)
-            np.testing.assert_allclose(x, law.traction(slip, 0 * slip)[0], rtol=1e-14)
-
-
-def test_gradients_of_free_rollers():
-    law = Fiala(12.0, 0.8)
-    a = jnp.array([np.cos(0.7), np.sin(0.7)])
-
-    def f(x):
-        return jnp.stack(traction_along(law, x[0], x[1], x[2], (x[3], x[4])))
-
-    assert slopes_agree(f, jnp.concatenate([jnp.array([1.9, 0.1, 2.0]), a])) < 1e-10
 
 
 def test_rolling_resistance():

@@ -27,9 +27,7 @@ from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.stability.methods import fixed_step_solver
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
-from rbjax.stability.theory.regions import imaginary_limit
 
-DOUBLE = 1e-7  # error of a double root of modulus one: sqrt(rounding)
 NEEDS_PAST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)  # solvers that need past states
 
 
@@ -276,47 +274,3 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
         1.0
     """
     return frequencies(h_omega) / np.angle(_principal(solver, h_omega)) - 1
-
-
-def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
-    """Return the largest h omega up to which an undamped oscillation does not grow.
-
-    It is inf if it is above `highest`. It is exact (`imaginary_limit`) if the method has linear
-    theory. Otherwise, as for methods of q' = v, v' = a, it is measured by bisection on a step of
-    the code. The measurement allows |zeta| to exceed one by 1e-7, and limits below `highest` / 500
-    are zero.
-
-    Args:
-        solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
-            `stability_function` or `characteristic`.
-        highest: largest h omega that is tested, rad.
-
-    Returns:
-        h omega, rad; inf if it is above `highest`.
-
-    Example:
-        >>> import rbjax as rb
-        >>> round(rb.stability.oscillation_limit("central_differences"), 9)
-        2.0
-    """
-    try:
-        exact = imaginary_limit(characteristic(solver))
-    except InputError:  # no linear theory: measure the code
-        return _measured_limit(solver, highest)
-    return exact if exact <= highest else np.inf
-
-
-def _measured_limit(solver: Method, highest: float) -> float:
-    grid = np.linspace(0, highest, 501)[1:]
-    grown = spectral_radius(solver, grid) > 1 + DOUBLE
-    if not grown.any():
-        return np.inf
-    if grown[0]:
-        return 0.0
-    low, high = grid[grown.argmax() - 1], grid[grown.argmax()]
-    while high - low > 4 * np.finfo(float).eps * high:
-        points = np.linspace(low, high, len(grid))  # same shape: no recompilation
-        grown = spectral_radius(solver, points) > 1 + DOUBLE
-        first = int(grown.argmax())
-        low, high = points[first - 1], points[first]
-    return float(low)

@@ -32,8 +32,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number
-from rbjax.errors import InputError
 from rbjax.lanes import Lane
 from rbjax.model.record import Record
 from rbjax.wheeled.fields import check_ranges, number
@@ -136,52 +134,6 @@ class Tyre(Record):
     def stored(self, z: Any = ()) -> Lane:
         """Return the stored energy per newton of load, m: zero for a law without relaxation."""
         return 0.0
-
-
-def traction_along(
-    law: Tyre, ux: Lane, uy: Lane, roll_speed: Lane, direction: tuple[Lane, Lane]
-) -> Pair:
-    """Compute the traction of a wheel with free rollers on its rim, along the rollers' axis.
-
-        v_a = a . v_s,   s = v_a / sqrt((r phi')^2 + v_n^2),   mu = -G_x(s, 0) s a
-
-    Args:
-        law: a `Tyre`. Its coefficients along x are used along a.
-        ux, uy: the velocity of the wheel's centre, m/s in the wheel's axes.
-        roll_speed: r phi', m/s.
-        direction: a, the unit vector of the axis of the roller in contact, in the wheel's axes:
-            (cos 45, sin 45 degrees) for one hand of mecanum wheels, (1, 0) for an omni wheel whose
-            rollers let it slide sideways.
-
-    Returns:
-        mu along x and y of the wheel: the forces over the load, no unit.
-
-    Raises:
-        InputError: not a `Tyre`, or a direction that is not two numbers.
-
-    Example:
-        >>> import rbjax as rb
-        >>> rubber = rb.wheeled.Linear(10.0)
-        >>> mu = rb.wheeled.traction_along(rubber, 0.9, 5.0, 1.0, (1.0, 0.0))
-        >>> [round(float(x), 2) for x in mu]
-        [1.0, 0.0]
-    """
-    if not isinstance(law, Tyre):
-        raise InputError(f"traction_along: law is {type(law).__name__}, expected a Tyre")
-    pair: Any = direction
-    size = len(pair) if isinstance(pair, (tuple, list)) else getattr(pair, "shape", (0,))[:1]
-    if size not in (2, (2,)):
-        raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
-    given = {"ux": (ux,), "uy": (uy,), "roll_speed": (roll_speed,), "direction": direction}
-    for name, numbers in given.items():
-        for x in numbers:
-            lane = hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
-            if not lane or isinstance(x, np.floating):  # arrays, complex ones too, are lanes
-                real_number("traction_along", name, x)
-    ax, ay = direction
-    slides = (ux - roll_speed) * ax + uy * ay
-    mu, _ = law.traction(slides / law.reference_speed(roll_speed), jnp.zeros_like(slides))
-    return mu * ax, mu * ay
 
 
 def pair(x: Any) -> Pair:
