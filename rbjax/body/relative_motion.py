@@ -27,19 +27,14 @@ from rbjax.rotations import so3
 
 
 class MovingFrame(NamedTuple):
-    """The motion of a frame B in a frame A, in the axes of A.
+    """The motion of a frame B in a frame A, in the axes of A."""
 
-    R: (3, 3) rotation R_AB.
-    p, v, a: (3,) position, velocity and acceleration of the origin of B.
-    omega, alpha: (3,) angular velocity and angular acceleration.
-    """
-
-    R: jax.Array
-    p: jax.Array
-    omega: jax.Array
-    v: jax.Array
-    alpha: jax.Array
-    a: jax.Array
+    R: jax.Array  # (3, 3), the rotation R_AB
+    p: jax.Array  # (3,), the position of the origin of B
+    omega: jax.Array  # (3,), angular velocity
+    v: jax.Array  # (3,), velocity of the origin
+    alpha: jax.Array  # (3,), angular acceleration
+    a: jax.Array  # (3,), acceleration of the origin
 
 
 class AccelerationTerms(NamedTuple):

@@ -11,25 +11,17 @@ from rbjax.html_page import code, element, link, page, picture, table
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report.
-
-    title, text: the heading and the paragraphs.
-    pictures: (file, caption) of each.
-    columns, rows: a table.
-    note, code: text below the table, and an example.
-    links: (file in the same folder, description) of each.
-    seconds: the computing time.
-    """
+    """A part of the report."""
 
     title: str
-    text: tuple[str, ...]
-    pictures: tuple[tuple[str, str], ...] = ()
-    columns: tuple[str, ...] = ()
+    text: tuple[str, ...]  # paragraphs
+    pictures: tuple[tuple[str, str], ...] = ()  # (file, caption) of each
+    columns: tuple[str, ...] = ()  # of a table
     rows: tuple[tuple[str, ...], ...] = ()
-    note: str = ""
-    code: str = ""
-    links: tuple[tuple[str, str], ...] = ()
-    seconds: float = field(default=0.0)
+    note: str = ""  # below the table
+    code: str = ""  # an example
+    links: tuple[tuple[str, str], ...] = ()  # (file in the same folder, description) of each
+    seconds: float = field(default=0.0)  # the computing time
 
 
 def write(folder: Path, title: str, lead: str, sections: Sequence[Section], footer: str) -> Path:

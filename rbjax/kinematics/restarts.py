@@ -141,32 +141,21 @@ LONGEST = 1.0
 
 
 class Settings(NamedTuple):
-    """Compile-time settings of a search.
+    """Compile-time settings of a search."""
 
-    iterations: maximum number of iterations of each start.
-    limits: whether joints stay within their ranges.
-    """
-
-    iterations: int
-    limits: bool
+    iterations: int  # maximum number of iterations of each start
+    limits: bool  # whether joints stay within their ranges
 
 
 class Found(NamedTuple):
-    """Result of a search.
+    """Result of a search."""
 
-    q: configuration, (nq,).
-    rotation, position: largest errors, rad and m.
-    converged: true if the goals are met.
-    iterations: total number of iterations.
-    start: index of the start.
-    """
-
-    q: jax.Array
-    rotation: jax.Array
-    position: jax.Array
-    converged: jax.Array
-    iterations: jax.Array
-    start: jax.Array
+    q: jax.Array  # configuration, (nq,)
+    rotation: jax.Array  # largest error, rad
+    position: jax.Array  # largest error, m
+    converged: jax.Array  # true if the goals are met
+    iterations: jax.Array  # total number of iterations
+    start: jax.Array  # index of the start
 
 
 class _SearchState(NamedTuple):

@@ -46,18 +46,14 @@ class Composite:
 
 @dataclass(frozen=True)
 class FileActuator:
-    """An actuator on hinges: tau_j = arm_j f,  f = gain u + b0 + b1 l + b2 l',  l' = sum arm_j v_j.
-
-    arms: moment arms by joint.
-    odd: reason why the actuator does not have this force law; empty if it has.
-    """
+    """An actuator on hinges: tau_j = arm_j f, f = gain u + b . (1, l, l')."""
 
     name: str
-    arms: Mapping[int, float]
+    arms: Mapping[int, float]  # moment arms by joint, with l' = sum arm_j v_j
     gain: float
-    bias: tuple[float, ...]
+    bias: tuple[float, ...]  # b
     force: tuple[float, float]
-    odd: str
+    odd: str  # reason why the actuator does not have this force law; empty if it has
 
 
 @dataclass(frozen=True)
@@ -280,14 +276,10 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 
 class Round(NamedTuple):
-    """The extent of shapes about an axle.
+    """The extent of shapes about an axle."""
 
-    radius: m, distance of the farthest point from the axle.
-    centre: (3,) m, on the axle, midpoint of the shapes on the rim.
-    """
-
-    radius: float
-    centre: np.ndarray
+    radius: float  # m, distance of the farthest point from the axle
+    centre: np.ndarray  # (3,) m, on the axle, midpoint of the shapes on the rim
 
 
 def round_shape(

@@ -11,17 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """The convex hull of a mesh in the frame of its geom. It is hashable, as a static field.
+    """The convex hull of a mesh in the frame of its geom. It is hashable, as a static field."""
 
-    Fields:
-        vertices: (n, 3) m.
-        normals: (n, f, 3) outward unit normals of the faces at each vertex.
-        corners: (n, f, 4) indices of up to four corners of each of these faces, in order around the
-            face from the vertex; -1 for none.
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
+    vertices: np.ndarray  # (n, 3) m
+    normals: np.ndarray  # (n, f, 3) outward unit normals of the faces at each vertex
+    #: (n, f, 4) indices of up to four corners of each of these faces, in order around the face
+    #: from the vertex; -1 for none
     corners: np.ndarray
 
     @classmethod

@@ -47,19 +47,14 @@ SNAP = 1e-15
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinkConstants:
-    """The constants of one link as lanes, or of all links as columns.
+    """The constants of one link as lanes, or of all links as columns."""
 
-    R, p: pose of the link in its parent link at zero displacement of the joint.
-    inertia: inertia of all bodies that move with the link, about its origin, in its axes.
-    armature: rotor inertia of the dof.
-    reference: value of the coordinate at zero displacement.
-    """
-
-    R: Mat3
+    R: Mat3  # R and p: pose of the link in its parent link at zero displacement of the joint
     p: Vec3
+    #: inertia of all bodies that move with the link, about its origin, in its axes
     inertia: RigidInertia
-    armature: Lane
-    reference: Lane
+    armature: Lane  # rotor inertia of the dof
+    reference: Lane  # value of the coordinate at zero displacement
     #: the parameters of the joint
     params: tuple[Lane, ...] = ()
 

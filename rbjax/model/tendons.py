@@ -12,16 +12,11 @@ from rbjax.model.record import Record
 
 @dataclass(frozen=True)
 class Waypoint:
-    """One element of the path of a tendon.
+    """One element of the path of a tendon."""
 
-    kind: "joint" of a fixed tendon; "site", "geom" or "pulley" of a spatial tendon.
-    index: index of the joint, site or geom; -1 for a pulley.
-    side: index of the side site of a geom, or -1.
-    """
-
-    kind: str
-    index: int = -1
-    side: int = -1
+    kind: str  # "joint" of a fixed tendon; "site", "geom" or "pulley" of a spatial tendon
+    index: int = -1  # index of the joint, site or geom; -1 for a pulley
+    side: int = -1  # index of the side site of a geom, or -1
 
 
 class Tendons(Record):

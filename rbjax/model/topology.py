@@ -25,14 +25,10 @@ WORLD = -1
 
 
 class Span(NamedTuple):
-    """The slices of a joint in q and v.
+    """The slices of a joint in q and v."""
 
-    q, v: coordinates of equal number whose increments are added.
-    attitude: unit quaternion in q and angular velocity in v, or None.
-    """
-
-    q: slice
-    v: slice
+    q: slice  # coordinates whose increments are added
+    v: slice  # their velocities
     #: a unit quaternion in q and its angular velocity in v, or None
     attitude: tuple[slice, slice] | None
 

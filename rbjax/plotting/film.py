@@ -71,38 +71,21 @@ def facing(points: Array) -> Camera:
 
 @dataclass(frozen=True)
 class Film:
-    """Poses of samples at all frames, and the view, in the world's frame, in m.
+    """Poses of samples at all frames, and the view, in the world's frame, in m."""
 
-    Fields:
-        ts: (F,), s.
-        R: (S, F, n, 3, 3), rotations of the bodies of each sample, and of the stations of flexible
-            links.
-        p: (S, F, n, 3), their positions.
-        shapes: solids.
-        camera: the line of sight.
-        floor: the height of the ground.
-        centre: (F, 3), the middle of the picture.
-        size: (2,), the least width and height of the picture.
-        paths: (n, F, 3), positions of bodies whose paths are drawn.
-        strong: (n,), whether each path is of the first sample.
-        arrows: (F, n, 2, 3), start and end of the arrows of contact forces; nan for none.
-        middle: (F, 3), the tracked body or the middle of the first sample.
-        follow: whether `centre` moves with the robot.
-    """
-
-    ts: Array
-    R: Array
-    p: Array
+    ts: Array  # (F,), s
+    R: Array  # (S, F, n, 3, 3), rotations of bodies, and of stations of flexible links
+    p: Array  # (S, F, n, 3), their positions
     shapes: Sequence[Solid]
-    camera: Camera
-    floor: float
-    centre: Array
-    size: Array
-    paths: Array
-    strong: tuple[bool, ...] = ()
-    arrows: Array | None = None
-    middle: Array | None = None
-    follow: bool = False
+    camera: Camera  # the line of sight
+    floor: float  # the height of the ground
+    centre: Array  # (F, 3), the middle of the picture
+    size: Array  # (2,), the least width and height of the picture
+    paths: Array  # (n, F, 3), positions of bodies whose paths are drawn
+    strong: tuple[bool, ...] = ()  # (n,), whether each path is of the first sample
+    arrows: Array | None = None  # (F, n, 2, 3), start and end of contact forces, or nan
+    middle: Array | None = None  # (F, 3), the tracked body or the middle of the first sample
+    follow: bool = False  # whether `centre` moves with the robot
 
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:

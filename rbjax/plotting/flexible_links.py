@@ -34,28 +34,18 @@ _RING = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
 @dataclass(frozen=True)
 class FlexibleLink:
-    """A flexible link as it is drawn.
+    """A flexible link as it is drawn."""
 
-    Fields:
-        joint: the kind of joint of the model.
-        kind: the same kind. A beam has further frames along its line.
-        chosen: the indices of the frames that are stations; the base is a station before them.
-        body, parent: the body of the joint and the body that carries the base.
-        coordinates: its entries of q.
-        params: the parameters of the kind.
-        lines: pairs of stations that are joined.
-        axes: (stations, 2), semi-axes of the section along y and z, m.
-    """
-
-    joint: Flexible
-    kind: Flexible
+    joint: Flexible  # the kind of joint of the model
+    kind: Flexible  # the same kind. A beam has further frames along its line.
+    #: the indices of the frames that are stations; the base is a station before them
     chosen: tuple[int, ...]
-    body: int
-    parent: int
-    coordinates: slice
-    params: tuple[float, ...]
-    lines: tuple[tuple[int, int], ...]
-    axes: Array
+    body: int  # of the joint
+    parent: int  # the body that carries the base
+    coordinates: slice  # its entries of q
+    params: tuple[float, ...]  # the parameters of the kind
+    lines: tuple[tuple[int, int], ...]  # pairs of stations that are joined
+    axes: Array  # (stations, 2), semi-axes of the section along y and z, m
 
     def poses(self, q: Array) -> tuple[Array, Array]:
         """Compute rotations (T, n, 3, 3) and positions (T, n, 3) of the stations in the base frame,

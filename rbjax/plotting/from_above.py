@@ -26,16 +26,11 @@ FORCES, SLIDING = BLUE, RED
 
 
 class Places(NamedTuple):
-    """Poses of bodies and wheels on the ground.
+    """Poses of bodies and wheels on the ground."""
 
-    origins: (..., n, 2), of bodies, m.
-    bodies: (..., n, 2), directions of bodies.
-    wheels: (..., m, 2), directions of wheels.
-    """
-
-    origins: np.ndarray
-    bodies: np.ndarray
-    wheels: np.ndarray
+    origins: np.ndarray  # (..., n, 2), of bodies, m
+    bodies: np.ndarray  # (..., n, 2), directions of bodies
+    wheels: np.ndarray  # (..., m, 2), directions of wheels
 
     def at(self, k: int) -> Places:
         """Select the poses at one time."""

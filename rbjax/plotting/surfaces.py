@@ -25,19 +25,12 @@ _DIRECTIONS = np.array([x for x in itertools.product((-1.0, 0.0, 1.0), repeat=3)
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles of a solid. Each vertex is fixed to a body.
+    """Triangles of a solid. Each vertex is fixed to a body."""
 
-    Fields:
-        points: (n, 3), in the frame of the body of each vertex, m.
-        normals: (n, 3), outward unit vectors in the same frame.
-        bodies: (n,), the body of each vertex; -1 for the world.
-        triangles: (m, 3), vertices, counterclockwise as seen from outside.
-    """
-
-    points: Array
-    normals: Array
-    bodies: Array
-    triangles: Array
+    points: Array  # (n, 3), in the frame of the body of each vertex, m
+    normals: Array  # (n, 3), outward unit vectors in the same frame
+    bodies: Array  # (n,), the body of each vertex; -1 for the world
+    triangles: Array  # (m, 3), vertices, counterclockwise as seen from outside
 
 
 def surface(solid: Solid, R: Array, p: Array, *, coarse: bool = False) -> Surface | None:

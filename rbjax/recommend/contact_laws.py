@@ -61,27 +61,16 @@ MEASURES = {
 
 
 class LawTrial(NamedTuple):
-    """The measures of a law on the motion.
+    """The measures of a law on the motion."""
 
-    Fields:
-        name: the law.
-        penetration: m, the largest overlap of two surfaces.
-        creep: m, the largest difference of a travel from the reference.
-        lift: m, the gain of energy by the weight; nan if controls act.
-        unconverged: the number of steps whose solver did not converge.
-        step_us: microseconds of a step; of an adaptive solver, of the requested step.
-        cost: microseconds per second of motion.
-        ok: whether the measures are at most the accuracy.
-    """
-
-    name: str
-    penetration: float
-    creep: float
-    lift: float
-    unconverged: int
-    step_us: float
-    cost: float
-    ok: bool
+    name: str  # the law
+    penetration: float  # m, the largest overlap of two surfaces
+    creep: float  # m, the largest difference of a travel from the reference
+    lift: float  # m, the gain of energy by the weight; nan if controls act
+    unconverged: int  # the number of steps whose solver did not converge
+    step_us: float  # microseconds of a step; of an adaptive solver, of the requested step
+    cost: float  # microseconds per second of motion
+    ok: bool  # whether the measures are at most the accuracy
 
 
 @displayed

@@ -23,25 +23,15 @@ SAME = 1e-6  # relative tolerance within which costs are equal
 
 
 class Trial(NamedTuple):
-    """A measured method.
+    """A measured method."""
 
-    Fields:
-        name: of the method.
-        status: of the solution from zero controls.
-        objective: the cost of the motion.
-        iterations: of this solution.
-        cost: the time of a compiled solution, milliseconds.
-        solved: the fraction of first guesses from which the method converged.
-        failed: the indices of the first guesses from which it did not converge.
-    """
-
-    name: str
-    status: str
-    objective: float
-    iterations: int
-    cost: float
-    solved: float
-    failed: tuple[int, ...]
+    name: str  # of the method
+    status: str  # of the solution from zero controls
+    objective: float  # the cost of the motion
+    iterations: int  # of this solution
+    cost: float  # the time of a compiled solution, milliseconds
+    solved: float  # the fraction of first guesses from which the method converged
+    failed: tuple[int, ...]  # the indices of the first guesses from which it did not converge
 
     @property
     def ok(self) -> bool:

@@ -244,21 +244,13 @@ def _decided(best: Trial, trials: list[Trial]) -> str:
 
 
 class Rank(NamedTuple):
-    """The rank of the constraint rows along a motion.
+    """The rank of the constraint rows along a motion."""
 
-    Fields:
-        rows: the number of rows.
-        redundant: the number of redundant rows.
-        closest: the least singular value of the scaled independent rows.
-        at: the time of `closest`, s.
-        median: the median of the least singular values along the motion.
-    """
-
-    rows: int
-    redundant: int
-    closest: float
-    at: float
-    median: float
+    rows: int  # the number of rows
+    redundant: int  # the number of redundant rows
+    closest: float  # the least singular value of the scaled independent rows
+    at: float  # the time of `closest`, s
+    median: float  # the median of the least singular values along the motion
 
     @property
     def singular(self) -> bool:

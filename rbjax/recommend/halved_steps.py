@@ -22,25 +22,16 @@ SECONDS = 0.05
 
 
 class Trial(NamedTuple):
-    """A candidate with the largest of its steps that is accurate enough.
+    """A candidate with the largest of its steps that is accurate enough."""
 
-    Fields:
-        name: of the candidate.
-        dt: the step, s.
-        error: the largest deviation of the motion from the reference.
-        gap: the largest residual of a constraint or of its rate (`formulation`), or the deviation
-            of the converged motion from the converged motion of the next finer fidelity
-            (`fidelity`).
-        step_us: the computing time of a step, microseconds.
-        ok: whether error and gap are as requested.
-    """
-
-    name: str
-    dt: float
-    error: float
+    name: str  # of the candidate
+    dt: float  # the step, s
+    error: float  # the largest deviation of the motion from the reference
+    #: the largest residual of a constraint or of its rate (`formulation`), or the deviation of the
+    #: converged motion from the converged motion of the next finer fidelity (`fidelity`)
     gap: float
-    step_us: float
-    ok: bool
+    step_us: float  # the computing time of a step, microseconds
+    ok: bool  # whether error and gap are as requested
 
     @property
     def cost(self) -> float:

@@ -152,15 +152,10 @@ class Manoeuvre(HalvedSteps):
 
 
 class Demand(NamedTuple):
-    """The traction that rolling without slipping requires.
+    """The traction that rolling without slipping requires."""
 
-    Fields:
-        share: the largest fraction of the available traction that is required, with loads at rest.
-        at: the time of `share`, s.
-    """
-
-    share: float
-    at: float
+    share: float  # the largest fraction of the available traction, with loads at rest
+    at: float  # the time of `share`, s
 
 
 def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) -> Demand:

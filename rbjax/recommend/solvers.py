@@ -50,21 +50,13 @@ BRIEF = 1e4  # phase of the fastest mode, rad, up to which the rolled driver sav
 
 
 class Trial(NamedTuple):
-    """A measured candidate.
+    """A measured candidate."""
 
-    Fields:
-        name: of the solver.
-        dt: the largest accurate step, s.
-        error: at this step.
-        cost: evaluations of forward dynamics per second of motion.
-        ok: whether there is an accurate step.
-    """
-
-    name: str
-    dt: float
-    error: float
-    cost: float
-    ok: bool
+    name: str  # of the solver
+    dt: float  # the largest accurate step, s
+    error: float  # at this step
+    cost: float  # evaluations of forward dynamics per second of motion
+    ok: bool  # whether there is an accurate step
 
 
 @displayed

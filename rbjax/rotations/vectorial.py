@@ -39,18 +39,13 @@ from rbjax.rotations.coefficients import (
 
 @dataclass(frozen=True)
 class Vectorial:
-    """A vectorial parametrization, defined by p(phi).
+    """A vectorial parametrization, defined by p(phi)."""
 
-    quaternion: function of (p, s) that returns a quaternion.
-    map, inverse_map: functions of s that return (m, a, b), and (1/m, g).
-    angle: function of s that returns the rotation angle.
-    """
-
-    quaternion: Callable[[list, jax.Array], list]
+    quaternion: Callable[[list, jax.Array], list]  # function of (p, s) that returns a quaternion
     parameter: Callable[[jax.Array, list], jax.Array]  # p / u, for a quaternion (w, u), w >= 0
-    map: Callable[[jax.Array], tuple]
-    inverse_map: Callable[[jax.Array], tuple]
-    angle: Callable[[jax.Array], jax.Array]
+    map: Callable[[jax.Array], tuple]  # function of s that returns (m, a, b)
+    inverse_map: Callable[[jax.Array], tuple]  # function of s that returns (1/m, g)
+    angle: Callable[[jax.Array], jax.Array]  # function of s that returns the rotation angle
     singular_angle: float
     singular_set: str
     scale: float = 1.0  # the parameters are scale * p

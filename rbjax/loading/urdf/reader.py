@@ -57,16 +57,11 @@ _IGNORED = (
 
 @dataclass(frozen=True)
 class Mimics:
-    """The mimic joints of a file.
+    """The mimic joints of a file."""
 
-    couplings: constraints of joints with one coordinate; one that mimics a fixed joint is fixed.
-    names: names of the couplings, "joint of driver".
-    others: mimics of joints with several coordinates, which are not supported.
-    """
-
-    couplings: tuple[JointPolynomial, ...] = ()
-    names: tuple[str, ...] = ()
-    others: tuple[str, ...] = ()
+    couplings: tuple[JointPolynomial, ...] = ()  # a joint that mimics a fixed one is fixed
+    names: tuple[str, ...] = ()  # "joint of driver"
+    others: tuple[str, ...] = ()  # of joints with several coordinates, not supported
 
     def left_out(self, *, constraints: bool) -> tuple[str, ...]:
         """List the entries of `Model.dropped`."""
@@ -76,18 +71,12 @@ class Mimics:
 
 @dataclass(frozen=True)
 class Urdf:
-    """A URDF as a spec, and the parts that the spec does not contain.
+    """A URDF as a spec, and the parts that the spec does not contain."""
 
-    spec: the tree, with placeholders as inertials.
-    inertials: inertials by link.
-    mimics: mimic joints.
-    left_out: entries of `Model.dropped`.
-    """
-
-    spec: mujoco.MjSpec
-    inertials: dict[str, Inertial]
-    mimics: Mimics
-    left_out: tuple[str, ...]
+    spec: mujoco.MjSpec  # the tree, with placeholders as inertials
+    inertials: dict[str, Inertial]  # inertials by link
+    mimics: Mimics  # mimic joints
+    left_out: tuple[str, ...]  # entries of `Model.dropped`
 
 
 def read_urdf(

@@ -21,31 +21,22 @@ _USUAL = {("pos", "0 0 0"), ("quat", "1 0 0 0"), ("gear", "1")}
 
 @dataclass
 class Draft:
-    """An MJCF file as XML elements.
+    """An MJCF file as XML elements."""
 
-    model: the robot, with NumPy leaves.
-    root, option, world, tendon, equality, actuator: elements of the file.
-    bodies, joints: elements by index.
-    geoms: elements of the geoms that are written, by index.
-    sites, tendons: names of the sites and tendons.
-    springs: springs that are written as tendons, after the tendons of the model.
-    notes: parts of the model that are written differently, or left out.
-    """
-
-    model: Model
+    model: Model  # the robot, with NumPy leaves
     root: ET.Element
     option: ET.Element
     world: ET.Element
     tendon: ET.Element
     equality: ET.Element
     actuator: ET.Element
-    bodies: list[ET.Element] = field(default_factory=list)
-    joints: list[ET.Element] = field(default_factory=list)
-    geoms: dict[int, ET.Element] = field(default_factory=dict)
+    bodies: list[ET.Element] = field(default_factory=list)  # by index
+    joints: list[ET.Element] = field(default_factory=list)  # by index
+    geoms: dict[int, ET.Element] = field(default_factory=dict)  # by index, if written
     sites: list[str] = field(default_factory=list)
     tendons: list[str] = field(default_factory=list)
-    springs: list[PointSpring] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    springs: list[PointSpring] = field(default_factory=list)  # written as tendons, after the others
+    notes: list[str] = field(default_factory=list)  # parts that are left out or differ
 
     @classmethod
     def of(cls, model: Model) -> Draft:

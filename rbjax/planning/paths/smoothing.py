@@ -62,24 +62,17 @@ class Smoothed(Record):
 
 
 class _Problem(NamedTuple):
-    """The smoothing problem of one path.
+    """The smoothing problem of one path."""
 
-    path: the initial path. field: the distance field. footprint: of the robot.
-    radius: the smallest turning radius, m. margin: the desired clearance, m.
-    arcs: (n,), whether a step is an arc. unit: (n,), initial lengths of the arcs, m.
-    same: (n - 1,), whether two neighbouring steps are arcs in one gear.
-    goal: (3,), the end of the initial path.
-    """
-
-    path: Path
+    path: Path  # the initial path
     field: DistanceField
     footprint: Footprint
-    radius: jax.Array
-    margin: jax.Array
-    arcs: jax.Array
-    unit: jax.Array
-    same: jax.Array
-    goal: jax.Array
+    radius: jax.Array  # the smallest turning radius, m
+    margin: jax.Array  # the desired clearance, m
+    arcs: jax.Array  # (n,), whether a step is an arc
+    unit: jax.Array  # (n,), initial lengths of the arcs, m
+    same: jax.Array  # (n - 1,), whether two neighbouring steps are arcs in one gear
+    goal: jax.Array  # (3,), the end of the initial path
 
     def steps(self, z: jax.Array) -> jax.Array:
         """Compute the steps (n, 3) of an iterate.

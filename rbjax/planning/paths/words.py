@@ -38,16 +38,11 @@ SLACK = 64.0
 
 
 class Word(NamedTuple):
-    """A sequence of segment kinds, and the formula of its lengths.
+    """A sequence of segment kinds, and the formula of its lengths."""
 
-    kinds: letters L, S and R.
-    formula: (x, y, phi) -> the signed lengths, and whether they exist.
-    reversible: whether the reverse order is another word.
-    """
-
-    kinds: str
-    formula: Callable
-    reversible: bool = False
+    kinds: str  # letters L, S and R
+    formula: Callable  # (x, y, phi) -> the signed lengths, and whether they exist
+    reversible: bool = False  # whether the reverse order is another word
 
 
 def _polar(x, y):

@@ -214,22 +214,15 @@ def _check_cells(where: str, grid: OccupancyGrid, cell: float, headings: int) ->
 
 
 class _Nodes(NamedTuple):
-    """Nodes of the search, one row each.
-
-    x, y: position, m. cell: index of the cell.
-    parent: number of the parent's visit, -1 for the root.
-    control: index of the control that leads to the node, -1 for the root.
-    g: price of the path to the node.
-    known: whether f already includes the lower bound of the connection.
-    """
+    """Nodes of the search, one row each (`wave_search`)."""
 
     x: np.ndarray
     y: np.ndarray
     cell: np.ndarray
     parent: np.ndarray
     control: np.ndarray
-    g: np.ndarray
-    known: np.ndarray
+    g: np.ndarray  # price of the path to the node
+    known: np.ndarray  # whether f includes the lower bound of the connection
 
 
 class _AStar(WaveSearch):

@@ -195,22 +195,13 @@ def omnidirectional_controls(radius: float, least: float, backwards: bool) -> Co
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """Table of the motions of all controls from the origin, for each initial heading first + 2 pi k
-    / K.
+    """The motions of all controls from the origin, for each of K initial headings."""
 
-    Fields:
-        headings: (K,), rad.
-        step: (2, K, n), displacements, m.
-        turns: (n,), turns in heading cells.
-        discs: (2, K, n, m), centres of the footprint's discs at sampled times of the motion, m.
-        radii: (K, n, m), radii of these discs, enlarged to cover the footprint between samples, m.
-    """
-
-    headings: np.ndarray
-    step: np.ndarray
-    turns: np.ndarray
-    discs: np.ndarray
-    radii: np.ndarray
+    headings: np.ndarray  # (K,), first + 2 pi k / K, rad
+    step: np.ndarray  # (2, K, n), displacements, m
+    turns: np.ndarray  # (n,), turns in heading cells
+    discs: np.ndarray  # (2, K, n, m), centres of the discs at times of the motion, m
+    radii: np.ndarray  # (K, n, m), enlarged to cover the footprint between these times, m
 
     def along(self, start: float, controls: np.ndarray) -> np.ndarray:
         """Compute the headings (n + 1,), rad, along a sequence of control indices (n,)."""

@@ -106,20 +106,14 @@ def grid_dijkstra(
 
 
 class _Nodes(NamedTuple):
-    """Nodes of the search, ordered by age.
-
-    x, y: position, m. cell: index of the cell.
-    parent: number of the parent's visit, -1 for the root.
-    control: index of the control that leads to the node, -1 for the root.
-    age: counter of created nodes.
-    """
+    """Nodes of the search, ordered by age (`wave_search`)."""
 
     x: np.ndarray
     y: np.ndarray
     cell: np.ndarray
     parent: np.ndarray
     control: np.ndarray
-    age: np.ndarray
+    age: np.ndarray  # counter of created nodes
 
 
 NONE = _Nodes(np.zeros(0), np.zeros(0), *np.zeros((4, 0), np.intp))

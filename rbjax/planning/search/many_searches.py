@@ -66,46 +66,31 @@ class _Problem(Record):
 
 
 class _Nodes(Record):
-    """Nodes of all searches, ordered by age.
+    """Nodes of all searches, ordered by age."""
 
-    x, y: position, m. search: index of the search. cell: index of the cell.
-    parent: index of the parent node, -1 for a start.
-    control: index of the control that leads to the node, -1 for a start.
-    cost: -1 if the node does not represent a cell and is only in the goal set.
-    """
-
-    x: jax.Array
+    x: jax.Array  # x and y: position, m
     y: jax.Array
-    search: jax.Array
-    cell: jax.Array
-    parent: jax.Array
-    control: jax.Array
-    cost: jax.Array
+    search: jax.Array  # index of the search
+    cell: jax.Array  # index of the cell
+    parent: jax.Array  # index of the parent node, -1 for a start
+    control: jax.Array  # index of the control that leads to the node, -1 for a start
+    cost: jax.Array  # -1 of a node that represents no cell and is only in the goal set
 
 
 class _Searches(Record):
-    """Variables of all searches.
-
-    nodes: the stored nodes. size: the number of stored nodes.
-    best: (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited.
-    first: (q, cells), work array for the first node of a cell.
-    sizes: (w,), the numbers of nodes before the last w waves. cost: the cost of the current wave.
-    last: the largest cost of a stored node.
-    reached: (q,), the index of the first node in the goal set. at: (q,), the cost of that node.
-    status: (q,), SEARCHING, FOUND or EXHAUSTED. visited: (q,), the number of visited cells.
-    """
+    """Variables of all searches."""
 
     nodes: _Nodes
-    size: jax.Array
-    best: jax.Array
-    first: jax.Array
-    sizes: jax.Array
-    cost: jax.Array
-    last: jax.Array
-    reached: jax.Array
-    at: jax.Array
-    status: jax.Array
-    visited: jax.Array
+    size: jax.Array  # the number of stored nodes
+    best: jax.Array  # (q, cells), the least cost of a cell's nodes in OPEN, -1 once visited
+    first: jax.Array  # (q, cells), work array for the first node of a cell
+    sizes: jax.Array  # (w,), the numbers of nodes before the last w waves
+    cost: jax.Array  # of the current wave
+    last: jax.Array  # the largest cost of a stored node
+    reached: jax.Array  # (q,), the index of the first node in the goal set
+    at: jax.Array  # (q,), the cost of that node
+    status: jax.Array  # (q,), SEARCHING, FOUND or EXHAUSTED
+    visited: jax.Array  # (q,), the number of visited cells
 
 
 def _turned(angle: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -43,40 +43,26 @@ RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
 
 
 class Sides(NamedTuple):
-    """Robot and torque coefficients at one end of each of n steps of a path.
+    """Robot and torque coefficients at one end of each of n steps of a path."""
 
-    q: (n, nq), coordinates.
-    nu: (n, nv), free velocities per s'.
-    twist: (n, 3), twist of the chassis per s'.
-    A, B, C: (n, drives), the coefficients of the torques.
-    """
-
-    q: jax.Array
-    nu: jax.Array
-    twist: jax.Array
-    A: jax.Array
+    q: jax.Array  # (n, nq), coordinates
+    nu: jax.Array  # (n, nv), free velocities per s'
+    twist: jax.Array  # (n, 3), twist of the chassis per s'
+    A: jax.Array  # (n, drives), the coefficients A, B and C of the torques
     B: jax.Array
     C: jax.Array
 
 
 class DrivenPath(NamedTuple):
-    """The steps of a path with the robot's coordinates and torques.
+    """The steps of a path with the robot's coordinates and torques."""
 
-    Fields:
-        size: (n,), lengths ds.
-        stops: (n,), whether the robot stands still before the step.
-        turns: (n, steerings), the steering motion before the step, while it stands still, rad.
-        bends: (n, steerings), db/ds.
-        first: `Sides` at the beginnings of the steps.
-        last: `Sides` at the ends of the steps.
-    """
-
-    size: jax.Array
-    stops: jax.Array
+    size: jax.Array  # (n,), lengths ds
+    stops: jax.Array  # (n,), whether the robot stands still before the step
+    #: (n, steerings), the steering motion before the step, while it stands still, rad
     turns: jax.Array
-    bends: jax.Array
-    first: Sides
-    last: Sides
+    bends: jax.Array  # (n, steerings), db/ds
+    first: Sides  # `Sides` at the beginnings of the steps
+    last: Sides  # `Sides` at the ends of the steps
 
 
 def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:

@@ -29,18 +29,14 @@ FIRST = 0.1  # initial slack
 
 
 class _Point(NamedTuple):
-    """Iterate of the interior-point method.
+    """Iterate of the interior-point method."""
 
-    d: (n,), the solution. y, s: (m,), distance from the bound of each row, and slack.
-    l: (m,), multipliers of the rows. zl, zu: (n,), multipliers of the box.
-    """
-
-    d: jax.Array
-    y: jax.Array
-    s: jax.Array
-    l: jax.Array
-    zl: jax.Array
-    zu: jax.Array
+    d: jax.Array  # (n,), the solution
+    y: jax.Array  # (m,), distance from the bound of each row
+    s: jax.Array  # (m,), slack
+    l: jax.Array  # (m,), multipliers of the rows
+    zl: jax.Array  # (n,), multipliers of the box
+    zu: jax.Array  # (n,)
 
 
 def solve(

@@ -49,36 +49,21 @@ LAST, SMALL = 6, 1e-5  # number of last iterations, which only reduce |e| + |b|,
 
 
 class Shooting(NamedTuple):
-    """A motion as a function of w (n, nu + 1), the scaled controls and durations of intervals.
+    """A motion as a function of w (n, nu + 1), the scaled controls and durations of intervals."""
 
-    Fields:
-        model: the robot.
-        limits: with a finite steering angle.
-        units: (nu,), the largest controls, the units of w.
-        duration: the unit of durations, s.
-        length: the unit of distances, m.
-        reach: the lever arm by which rad are converted to m, m.
-        speeds: (nv,), the units of velocities.
-        start: (nz,), the initial state.
-        goal: (3,), the goal pose.
-        field, footprint: None without a map.
-        due: (n * parts, discs), the required clearances, m.
-        parts: steps of an interval, static.
-    """
-
-    model: RobotModel
-    limits: Limits
-    units: jax.Array
-    duration: jax.Array
-    length: jax.Array
-    reach: jax.Array
-    speeds: jax.Array
-    start: jax.Array
-    goal: jax.Array
-    field: DistanceField | None
+    model: RobotModel  # the robot
+    limits: Limits  # with a finite steering angle
+    units: jax.Array  # (nu,), the largest controls, the units of w
+    duration: jax.Array  # the unit of durations, s
+    length: jax.Array  # the unit of distances, m
+    reach: jax.Array  # the lever arm by which rad are converted to m, m
+    speeds: jax.Array  # (nv,), the units of velocities
+    start: jax.Array  # (nz,), the initial state
+    goal: jax.Array  # (3,), the goal pose
+    field: DistanceField | None  # None without a map
     footprint: Footprint | None
-    due: jax.Array
-    parts: int
+    due: jax.Array  # (n * parts, discs), the required clearances, m
+    parts: int  # steps of an interval, static
 
     @property
     def tracked(self) -> int:
@@ -179,18 +164,12 @@ class Shooting(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Iterate of the optimisation.
+    """Iterate of the optimisation."""
 
-    w: (n, nu + 1), the scaled controls.
-    radius: (), of the trust region.
-    iterations_done: the number of iterations.
-    taken: the number of accepted steps.
-    """
-
-    w: jax.Array
-    radius: jax.Array
-    iterations_done: jax.Array
-    taken: jax.Array
+    w: jax.Array  # (n, nu + 1), the scaled controls
+    radius: jax.Array  # (), of the trust region
+    iterations_done: jax.Array  # the number of iterations
+    taken: jax.Array  # the number of accepted steps
 
 
 def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:

@@ -243,18 +243,12 @@ def estimates(solver: diffrax.AbstractSolver) -> bool:
 
 
 class Run(NamedTuple):
-    """A run of a solver on a scene.
+    """A run of a solver on a scene."""
 
-    Fields:
-        q, v: (201, n) states.
-        ending: failure that ended the run; None if it is complete.
-        reached: time in s that the run reached.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # (201, n), as v
     v: np.ndarray
-    ending: Outcome | None
-    reached: float
+    ending: Outcome | None  # failure that ended the run; None if it is complete
+    reached: float  # time in s that the run reached
 
 
 def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:

@@ -22,17 +22,13 @@ Patterns = str | Iterable[str]
 
 @dataclass(frozen=True)
 class Roles:
-    """Indices of the joints of each role.
-
-    steerings: one tuple for each `Steering`.
-    hitches: of trailers, parents first.
-    """
+    """Indices of the joints of each role."""
 
     rest: AtRest
     wheels: tuple[int, ...]
-    steerings: tuple[tuple[int, ...], ...] = ()
+    steerings: tuple[tuple[int, ...], ...] = ()  # one tuple for each `Steering`
     casters: tuple[int, ...] = ()
-    hitches: tuple[int, ...] = ()
+    hitches: tuple[int, ...] = ()  # of trailers, parents first
 
     @property
     def turntables(self) -> tuple[int, ...]:

@@ -152,15 +152,11 @@ def from_file(
 
 @dataclass(frozen=True)
 class View:
-    """The frames of the chassis and of trailers, with parallel axes.
-
-    origins: on the ground, in the world.
-    turn: (3, 3), the rotation from their axes to the world's.
-    """
+    """The frames of the chassis and of trailers, with parallel axes."""
 
     roles: Roles
-    origins: tuple[np.ndarray, ...]
-    turn: np.ndarray
+    origins: tuple[np.ndarray, ...]  # on the ground, in the world
+    turn: np.ndarray  # (3, 3), the rotation from their axes to the world's
 
     def seen(self, point: np.ndarray, k: int) -> np.ndarray:
         """Express a point (3,) of the world in the frame of the chassis (k = 0) or of trailer k."""

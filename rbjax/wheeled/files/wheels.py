@@ -24,18 +24,12 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class FileWheel:
-    """A wheel of a file in world axes, in m and kg. Other fields are as in `Wheel`.
+    """A wheel of a file in world axes, in m and kg. Other fields are as in `Wheel`."""
 
-    joint: the index of its hinge.
-    place: (3,), its position at the height of the axle.
-    ahead: (3,), the heading, or the direction in which a caster rolls.
-    sense: -1 for a caster that rolls ahead at negative rates of its joint, else 1.
-    """
-
-    joint: int
+    joint: int  # the index of its hinge
     kind: str
-    place: np.ndarray
-    ahead: np.ndarray
+    place: np.ndarray  # (3,), its position at the height of the axle
+    ahead: np.ndarray  # (3,), the heading, or the direction in which a caster rolls
     radius: float
     inertia: float
     mass: float
@@ -43,7 +37,7 @@ class FileWheel:
     damping: float
     trail: float = 0.05
     behind: float = 0.0
-    sense: float = 1.0
+    sense: float = 1.0  # -1 for a caster that rolls ahead at negative rates of its joint, else 1
 
     @property
     def bottom(self) -> float:

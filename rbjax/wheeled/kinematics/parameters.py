@@ -34,21 +34,18 @@ class BodyParameters:
 
 @dataclass(frozen=True)
 class WheelParameters:
-    """The parameters of a wheel.
-
-    heading: its direction at zero steering. slant: the tangent of `roller`.
-    """
+    """The parameters of a wheel."""
 
     kind: str
     body: int
     shaft: int
     skids: bool
     position: Pair
-    heading: Pair
+    heading: Pair  # at zero steering
     radius: Lane
     inertia: Lane
     yaw_inertia: Lane
-    slant: Lane
+    slant: Lane  # tangent of `roller`
     trail: Lane
 
 

@@ -35,16 +35,11 @@ from rbjax.wheeled.robot.arrangement import Leader
 
 
 class Shape(NamedTuple):
-    """Directions that depend on the angles of trailers, steerings and casters.
+    """Directions that depend on the angles of trailers, steerings and casters."""
 
-    trailers: the direction of each trailer relative to the body ahead.
-    wheels: the direction of each wheel in its body.
-    leaders: the position and direction of each leading wheel.
-    """
-
-    trailers: tuple[Pair, ...]
-    wheels: tuple[Pair, ...]
-    leaders: tuple[tuple[Pair, Pair], ...]
+    trailers: tuple[Pair, ...]  # the direction of each trailer relative to the body ahead
+    wheels: tuple[Pair, ...]  # the direction of each wheel in its body
+    leaders: tuple[tuple[Pair, Pair], ...]  # the position and direction of each leading wheel
 
 
 def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
@@ -220,14 +215,10 @@ def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[L
 
 
 class Motion(NamedTuple):
-    """The velocities of all inertias.
+    """The velocities of all inertias."""
 
-    twists: of bodies and of caster forks, in their own axes.
-    turns: pairs (inertia, rate) of rotors.
-    """
-
-    twists: list[Twist]
-    turns: list[tuple[Lane, Lane]]
+    twists: list[Twist]  # of bodies and of caster forks, in their own axes
+    turns: list[tuple[Lane, Lane]]  # pairs (inertia, rate) of rotors
 
 
 def inertial_motion(

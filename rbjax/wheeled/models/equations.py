@@ -39,16 +39,11 @@ Damper = tuple[Lane, Sequence[Lane]]
 
 
 class Equations(NamedTuple):
-    """Equations of motion M nu' = f in some velocities nu.
+    """Equations of motion M nu' = f in some velocities nu."""
 
-    M: the mass matrix, by row.
-    f: the right side.
-    columns: the full velocities of each unit velocity of nu.
-    """
-
-    M: list[list[Lane]]
-    f: list[Lane]
-    columns: list[list[Lane]]
+    M: list[list[Lane]]  # the mass matrix, by row
+    f: list[Lane]  # the right side
+    columns: list[list[Lane]]  # the full velocities of each unit velocity of nu
 
     @property
     def accelerations(self) -> list[Lane]:

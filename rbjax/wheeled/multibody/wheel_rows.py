@@ -107,15 +107,10 @@ def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
 
 
 class SteeringRate(Constraint):
-    """A prescribed rate of a hinge, v = rate, a = 0: a row of velocities only.
+    """A prescribed rate of a hinge, v = rate, a = 0: a row of velocities only."""
 
-    Fields:
-        joint: static, the name of the hinge.
-        rate: rad/s.
-    """
-
-    joint: str = eqx.field(static=True)
-    rate: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
+    joint: str = eqx.field(static=True)  # the name of the hinge
+    rate: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))  # rad/s
     size = 1
 
     def __check_init__(self) -> None:
@@ -127,20 +122,13 @@ class SteeringRate(Constraint):
 
 
 class Linkage(Constraint):
-    """Ackermann's geometry: the angle of a steered wheel as a function of the column's angle.
-
-    Fields:
-        robot: the `Robot`.
-        steering, wheel: static, their indices.
-        joint: static, the hinge of the wheel.
-        column: static, the hinge of the steering.
-    """
+    """Ackermann's geometry: the angle of a steered wheel as a function of the column's angle."""
 
     robot: Robot
-    steering: int = eqx.field(static=True)
-    wheel: int = eqx.field(static=True)
-    joint: str = eqx.field(static=True)
-    column: str = eqx.field(static=True)
+    steering: int = eqx.field(static=True)  # index of the steering
+    wheel: int = eqx.field(static=True)  # index of the wheel
+    joint: str = eqx.field(static=True)  # the hinge of the wheel
+    column: str = eqx.field(static=True)  # the hinge of the steering
     size = 1
 
     def rows(self, context: Context) -> Sequence[Row]:
@@ -168,17 +156,11 @@ def linked(n: Parameters, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lan
 
 
 class Differential(Constraint):
-    """A differential: the angle of the motor's shaft equals the cage angle, sum split_i phi_i.
+    """A differential: the angle of the motor's shaft equals the cage angle, sum split_i phi_i."""
 
-    Fields:
-        split: (k,), the shares of the wheels.
-        joint: static, the hinge of the shaft.
-        wheels: static, the hinges of the k wheels.
-    """
-
-    split: jax.Array = eqx.field(converter=floats)
-    joint: str = eqx.field(static=True)
-    wheels: tuple[str, ...] = eqx.field(static=True)
+    split: jax.Array = eqx.field(converter=floats)  # (k,), the shares of the wheels
+    joint: str = eqx.field(static=True)  # the hinge of the shaft
+    wheels: tuple[str, ...] = eqx.field(static=True)  # the hinges of the k wheels
     size = 1
 
     def rows(self, context: Context) -> Sequence[Row]:

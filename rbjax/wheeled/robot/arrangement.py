@@ -31,16 +31,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Leader:
-    """The source of an independent constraint row: a fixed wheel, a steering, or skidding wheels.
+    """The source of an independent constraint row."""
 
-    what: "wheel", "steering" or "skidding".
-    number: the index of the wheel or steering.
-    backward: whether the heading of its wheel points backward.
-    """
-
-    what: str  # "wheel", "steering", "skidding"
-    number: int = 0
-    backward: bool = False
+    what: str  # "wheel", which is fixed, "steering" or "skidding"
+    number: int = 0  # index of the wheel or steering
+    backward: bool = False  # whether the heading of its wheel points backward
 
 
 @displayed

@@ -198,21 +198,16 @@ class Steering(Record):
 
 @dataclass(frozen=True)
 class Layout:
-    """Slices of coordinates in q and of full velocities in w, and the shafts of wheels.
+    """Slices of coordinates in q and of full velocities in w, and the shafts of wheels."""
 
-    trailers, steerings, casters, shafts: slices of q.
-    shaft: the index of the shaft of each wheel.
-    setters: the first wheel of each shaft, whose rolling determines the shaft's rate.
-    caster_wheels: the indices of casters.
-    """
-
-    trailers: slice
+    trailers: slice  # of q
     steerings: slice
     casters: slice
     shafts: slice
-    shaft: tuple[int, ...]
+    shaft: tuple[int, ...]  # the index of the shaft of each wheel
+    #: the first wheel of each shaft, whose rolling determines the shaft's rate
     setters: tuple[int, ...]
-    caster_wheels: tuple[int, ...]
+    caster_wheels: tuple[int, ...]  # the indices of casters
 
     @property
     def nq(self) -> int:
