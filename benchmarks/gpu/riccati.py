@@ -5,7 +5,7 @@ too. All programs are compiled first, several at a time.
 
 n = 12 states and m = 6 controls, horizons of 16 to 4,096 steps, 1 and 64 problems. Serial: a thread
 a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA, by
-doubling (and with `--tree` by a tree).
+doubling.
 Each result is compared with that of the thread; `difference` is the largest of K, k, P and p,
 relative to the largest entry of each. Times are the least of several, in ms a batch.
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import concurrent.futures
-import functools
 import itertools
 import json
 import os
@@ -53,7 +52,6 @@ METHODS: dict[str, Callable] = {
     "serial, thread": jax.jit(jax.vmap(rb.threads(backward))),
     "serial, XLA": jax.jit(jax.vmap(backward)),
     "parallel, doubling": jax.jit(jax.vmap(parallel_backward)),
-    "parallel, tree": jax.jit(jax.vmap(functools.partial(parallel_backward, by="tree"))),
 }
 
 
@@ -134,12 +132,10 @@ def main() -> None:
     parser.add_argument("--batches", type=int, nargs="+", default=(1, 64))
     parser.add_argument("--precision", nargs="+", default=["f32", "f64"])
     parser.add_argument("--seconds", type=float, default=0.5, help="of timing for each row")
-    parser.add_argument("--tree", action="store_true", help="the tree, too: minutes to compile")
     parser.add_argument("--save", action="store_true")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    methods = [x for x in METHODS if given.tree or not x.endswith("tree")]
-    rows = run(tuple(given.horizons), list(given.batches), given.precision, methods, given.seconds)
+    rows = run(tuple(given.horizons), list(given.batches), given.precision, list(METHODS), given.seconds)
     print(markdown_table(rows, COLUMNS))
     said = crossings(rows)
     print("\n".join(said))

@@ -165,10 +165,6 @@ TABLE = {
         "controller": [3, PROBLEM], "state": ["x", np.ones(3)],
     }),
     "lqr": (C.lqr, LQ, MATRICES | {"S": array(2, 1), "discrete": flag()}),
-    "lqr_finite": (C.linear.lqr_finite, LQ | {"horizon": 3}, MATRICES | {
-        "R": array(1, 1),  # one that is not definite is a result: ok is false
-        "horizon": count(), "terminal": array(2, 2), "S": array(2, 1),
-    }),
     "lqr_at": (C.lqr_at, POISED | {"Q": np.ones(4), "R": np.ones(1)}, {
         "model": model(), "state": state(), "ctrl": array(1), "Q": array(4), "R": array(1),
         "dt": positive(), "integrator": name(), "dynamics": [3, "x"], "constraints": name(),
@@ -184,27 +180,18 @@ TABLE = {
     "feedback": (C.feedback, POISED | {"K": np.ones((1, 4))}, {
         "model": model(), "state": state(), "ctrl": array(1), "K": array(1, 4),
     }),
-    "constant_problem": (C.linear.constant_problem, LQ | {"horizon": 3}, {
-        "A": array(2, 2), "B": array(2, 1), "Q": array(2, 2), "R": array(1, 1), "horizon": count(),
-        "terminal": array(2, 2), "S": array(2, 1),
+    "constant_problem": (C.linear.constant_problem, LQ | {"horizon": 3}, MATRICES | {
+        "R": array(1, 1),  # one that is not definite is a result: success is false
+        "horizon": count(), "terminal": array(2, 2), "S": array(2, 1),
     }),
     "backward": (C.linear.backward, {"problem": BAND}, {"problem": [3, "x", PROBLEM]}),
     "parallel_backward": (C.linear.parallel_backward, {"problem": BAND}, {
-        "problem": [3, "x", PROBLEM], "by": name(),
+        "problem": [3, "x", PROBLEM],
     }),
     "roll": (C.linear.roll, {
         "problem": BAND, "gains": C.linear.backward(BAND), "start": np.zeros(2),
     }, {
         "problem": [3, PROBLEM], "gains": [3, "x"], "start": array(2),
-    }),
-    "parallel_roll": (C.linear.parallel_roll, {
-        "problem": BAND, "gains": C.linear.backward(BAND), "start": np.zeros(2),
-    }, {"problem": [3, PROBLEM], "gains": [3, "x"], "start": array(2)}),
-    "quadratic_cost": (C.linear.quadratic_cost, {
-        "problem": BAND, "x": np.zeros((4, 2)), "u": np.zeros((3, 1)),
-    }, {"problem": [3, PROBLEM], "x": array(4, 2), "u": array(3, 1)}),
-    "steer": (C.linear.steer, {"problem": BAND, "start": np.zeros(2), "target": np.ones(2)}, {
-        "problem": [3, PROBLEM], "start": array(2), "target": array(2),
     }),
     "lyapunov": (C.linear.lyapunov, {"A": -np.eye(2), "Q": np.eye(2)}, {
         "A": array(2, 2), "Q": array(2, 2), "method": name(), "discrete": flag(),
@@ -214,12 +201,6 @@ TABLE = {
     }),
     "observability": (C.linear.observability, {"A": TWO, "C": ONE.T}, {
         "A": array(2, 2), "C": array(1, 2), "tolerance": ["x", -1.0, np.nan],
-    }),
-    "controllability_gramian": (C.linear.controllability_gramian, {"A": -np.eye(2), "B": ONE}, {
-        "A": array(2, 2), "B": array(2, 1), "discrete": flag(),
-    }),
-    "observability_gramian": (C.linear.observability_gramian, {"A": -np.eye(2), "C": ONE.T}, {
-        "A": array(2, 2), "C": array(1, 2), "discrete": flag(),
     }),
     "unreachable_directions": (C.linear.unreachable_directions, {
         "model": CART, "reach": C.linear.controllability(np.eye(4), np.eye(4)),
@@ -303,7 +284,7 @@ WITHOUT = {
     "Controller", "DifferentialInverseKinematics", "Effort", "Gains",
     "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LinearStatus",
     "LinearQuadratic", "Lyapunov", "Margins", "Method", "OperationalSpace", "PredictiveController",
-    "Reach", "RegionMap", "Regulator", "Solution", "Status", "SteadyFilter", "Steered", "System",
+    "Reach", "RegionMap", "Regulator", "Solution", "Status", "SteadyFilter", "System",
     "Term", "TickStatus", "Tracking", "Velocity", "methods",
 }  # fmt: skip
 ROOMS = (C, C.laws, C.linear, C.optimal, rb.kinematics)

@@ -1,17 +1,15 @@
-"""Lyapunov equations beside SciPy, and their derivatives."""
+"""Lyapunov equations beside SciPy."""
 
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
 
 from rbjax.control import LinearStatus
 from rbjax.control.linear import lyapunov
-from rbjax.errors import InputError, UnknownName
-from tests.composing import check_composes
+from rbjax.errors import InputError
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(0)
@@ -59,20 +57,3 @@ def test_on_the_edge_and_beyond(discrete):
     A = DECAY + 4 * np.eye(N)
     found = lyapunov(A, Q, discrete=discrete, method="kronecker")
     assert relative_error(found.X, scipys(A, Q, discrete)) < 1e-11
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("discrete", [False, True])
-def test_composes(discrete):
-    A = CONTRACTION if discrete else DECAY
-    xs = [np.stack([A, 0.9 * A, 0.8 * A]), np.stack([Q, Q.T, Q + Q.T])]
-    check_composes(lambda A, Q: lyapunov(A, Q, discrete=discrete).X, xs)
-
-
-def test_bad_arguments():
-    with pytest.raises(InputError, match=r"A has shape \(2, 3\)"):
-        lyapunov(np.zeros((2, 3)), np.zeros((2, 2)))
-    with pytest.raises(InputError, match="Q has shape"):
-        lyapunov(jnp.eye(2), jnp.ones(2))
-    with pytest.raises(UnknownName, match="doubling"):
-        lyapunov(jnp.eye(2), jnp.eye(2), method="schur")

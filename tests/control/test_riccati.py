@@ -6,18 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.control.linear import (
-    backward,
-    constant_problem,
-    lqr_finite,
-    parallel_backward,
-    parallel_roll,
-    quadratic_cost,
-    roll,
-    steer,
-)
-from rbjax.errors import UnknownName
-from tests.composing import check_composes
+from rbjax.control.linear import backward, constant_problem, parallel_backward, roll
 from tests.control.problems import random_problem
 from tests.oracles import load
 from tests.tolerances import F32_MEDIAN, relative_error
@@ -26,7 +15,15 @@ ORACLE = load("linear_quadratic")
 serial, parallel, rolled = map(jax.jit, (backward, parallel_backward, roll))
 
 
-def by_kkt(z, start, target=None):
+def quadratic_cost(z, x, u):
+    """The cost of states (N + 1, n) and controls (N, m)."""
+    z, x, u = jax.tree.map(np.asarray, (z, x, u))
+    of_states = np.einsum("ki,kij,kj->", x, z.Q, x) / 2 + (z.q * x).sum()
+    of_controls = np.einsum("ki,kij,kj->", u, z.R, u) / 2 + (z.r * u).sum()
+    return of_states + of_controls + np.einsum("ki,kij,kj->", x[:-1], z.S, u)
+
+
+def by_kkt(z, start):
     """States, controls and multipliers from the dense conditions of optimality."""
     z = jax.tree.map(np.asarray, z)
     N, n, m = z.B.shape
@@ -43,10 +40,6 @@ def by_kkt(z, start, target=None):
         H[u, u], H[x, u], H[u, x] = z.R[k], z.S[k], z.S[k].T
         rows[after, after], rows[after, x], rows[after, u] = np.eye(n), -z.A[k], -z.B[k]
         right[after] = z.d[k]
-    if target is not None:
-        end = np.zeros((n, nx + nu))
-        end[:, N * n : nx] = np.eye(n)
-        rows, right = np.concatenate([rows, end]), np.concatenate([right, target])
     c = len(rows)
     M = np.block([[H, rows.T], [rows, np.zeros((c, c))]])
     found = np.linalg.solve(M, np.concatenate([-g, right]))
@@ -75,46 +68,21 @@ def test_parallel_in_time_is_serial(N):
     a, b = serial(z), parallel(z)
     for x, y in zip(a, b, strict=True):
         assert relative_error(x, y) < 1e-10
-    start = jnp.ones(z.q.shape[1])
-    for x, y in zip(rolled(z, a, start), jax.jit(parallel_roll)(z, b, start), strict=True):
-        assert relative_error(x, y) < 1e-10
 
 
 def test_the_finite_horizon_in_forty_digits():
     o = ORACLE["lqr_discrete"]
     A, B, Q, R, end = (jnp.asarray(o[k], float) for k in ("A", "B", "Q", "R", "P_N"))
     R = R.reshape(1, 1)
-    found = lqr_finite(A, B, Q, R, o["N"], end)
+    z = constant_problem(A, B, Q, R, o["N"], end)
+    found = backward(z)
     assert relative_error(found.P[0], o["P_0"]) < 1e-13
     for k in (0, 25, 49):
         assert relative_error(found.K[k, 0], o[f"K_{k}"]) < 1e-13
-    z = constant_problem(A, B, Q, R, o["N"], end)
     x, u = rolled(z, found, jnp.asarray(o["x0"], float))
     assert abs(float(quadratic_cost(z, x, u)) - o["cost"]) < 1e-13
     assert relative_error(u[:5, 0], o["u_0_4"]) < 1e-13
     assert np.abs(x[-1] - np.array(o["x_N"])).max() < 1e-14
-
-
-@pytest.mark.parametrize("case", ORACLE["minimum_energy"]["discrete"], ids=lambda c: str(c["N"]))
-def test_minimum_energy_between_two_rests(case):
-    h, N = case["dt"], case["N"]
-    A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
-    z = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), N)
-    found = jax.jit(steer)(z, jnp.zeros(2), jnp.array([1.0, 0.0]))
-    assert found.success and relative_error(found.cost, case["cost"]) < 1e-11
-    assert relative_error(found.u[0, 0], case["u_first"]) < 1e-10
-    assert relative_error(found.u[-1, 0], case["u_last"]) < 1e-10
-
-
-def test_a_fixed_end_by_the_conditions_of_optimality():
-    z = random_problem(3, 6, 4, 2)
-    start, target = np.random.default_rng(4).normal(size=(2, 4))
-    found = jax.jit(steer)(z, jnp.asarray(start), jnp.asarray(target))
-    x, u = by_kkt(z, start, target)
-    assert found.success
-    assert relative_error(found.x, x) < 1e-10 and relative_error(found.u, u) < 1e-10
-    few = jax.tree.map(lambda a: a[:1], z)._replace(Q=z.Q[:2], q=z.q[:2])
-    assert not jax.jit(steer)(few, jnp.asarray(start), jnp.asarray(target)).success  # 2 of 4 states
 
 
 @pytest.mark.parametrize("gains", [serial, parallel])
@@ -145,31 +113,10 @@ def test_the_hessian_needs_no_definite_control_cost():
     assert not parallel(z).success  # which needs one
 
 
-def test_gains_compose():
-    """Under jit, vmap and both modes of differentiation."""
-    batch = [random_problem(k, 3, 2, 1) for k in range(3)]
-    xs = [np.stack([np.asarray(getattr(z, f)) for z in batch]) for f in ("A", "B", "d", "R", "S")]
-
-    def gains(A, B, d, R, S):
-        return backward(batch[0]._replace(A=A, B=B, d=d, R=R, S=S))[:4]
-
-    check_composes(gains, xs)
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_one_problem_is_small_enough_for_a_thread(dtype):
     said = rb.compiler.explain(backward, random_problem(7, 16, 12, 6, dtype))
     assert said.statements < 20_000 and said.array_bytes < 16 * 1024
-
-
-@pytest.mark.slow
-def test_parallel_by_a_tree():
-    z = random_problem(9, 21, 3, 2)
-    by_tree = jax.jit(lambda z: parallel_backward(z, by="tree"))
-    for x, y in zip(serial(z), by_tree(z), strict=True):
-        assert relative_error(x, y) < 1e-12
-    with pytest.raises(UnknownName, match="doubling"):
-        parallel_backward(z, by="steps")
 
 
 @pytest.mark.slow

@@ -47,33 +47,14 @@ def rolled(A, B, Q, R, x):
     return linear.roll(problem, linear.backward(problem), x)
 
 
-def rolled_in_parallel(A, B, Q, R, x):
-    problem = steady(A, B, Q, R)
-    return linear.parallel_roll(problem, linear.parallel_backward(problem), x)
-
-
-def cost(A, B, Q, R, x):
-    problem = steady(A, B, Q, R)
-    return linear.quadratic_cost(problem, *rolled(A, B, Q, R, x))
-
-
 LQ = [0.2 * STABLE, INPUT, WEIGHT, SMALL_WEIGHT]
 CONTROL = {
     "lqr": Case(same(lambda *x: control.lqr(*x)[:2]), [STABLE, *LQ[1:]]),
-    "lqr_finite": Case(same(lambda *x: linear.lqr_finite(*x, 4).K), LQ),
     "backward": Case(same(lambda *x: linear.backward(steady(*x))[:4]), LQ),
     "constant_problem": Case(same(lambda *x: steady(*x)), LQ),
     "parallel_backward": Case(same(lambda *x: linear.parallel_backward(steady(*x))[:4]), LQ),
     "roll": Case(same(rolled), [*LQ, START]),
-    "parallel_roll": Case(same(rolled_in_parallel), [*LQ, START]),
-    "quadratic_cost": Case(same(cost), [*LQ, START]),
     "lyapunov": Case(same(lambda A, Q: linear.lyapunov(A, Q).X), [STABLE, WEIGHT]),
-    "controllability_gramian": Case(
-        same(lambda A, B: linear.controllability_gramian(A, B).X), [STABLE, INPUT]
-    ),
-    "observability_gramian": Case(
-        same(lambda A, C: linear.observability_gramian(A, C).X), [STABLE, OUTPUT]
-    ),
     "discretise": Case(same(lambda A, B: linear.discretise(A, B, 0.1)), [STABLE, INPUT]),
     "kalman_gain": Case(
         same(lambda A, C, W, V: linear.kalman_gain(A, C, W, V)[:2]),
@@ -151,9 +132,6 @@ def tracked(dtype: Any) -> Callable:
 
 
 CONTROL |= {
-    "steer": Case(
-        same(lambda A, B, Q, R, x: linear.steer(steady(A, B, Q, R), x, 0 * x)[:2]), [*LQ, START]
-    ),
     "time_varying_lqr": Case(tracked, [*CART_STATE, FOUR, ONE]),
     "lqr_at": Case(
         on(cart, lambda m, Q, R: control.lqr_at(m, m.default_state(), 0 * R, Q, R)[:2]),

@@ -56,6 +56,9 @@ class Lyapunov(NamedTuple):
 def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling") -> Lyapunov:
     """Solve A X + X A' + Q = 0, or A X A' - X + Q = 0 in discrete time, for X.
 
+    `lyapunov(A, B @ B.T)` is the controllability Gramian of a stable system, and
+    `lyapunov(A.T, C.T @ C)` is the observability Gramian.
+
     Args:
         A: (n, n).
         Q: (n, n), symmetric or not.
@@ -74,7 +77,8 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
 
     Differentiable in A and Q in both modes, by the implicit function theorem.
 
-    Source: Smith 1968; Bartels & Stewart 1972 (the problem).
+    Source: Smith 1968; Bartels & Stewart 1972 (the problem); Zhou, Doyle & Glover, *Robust and
+    Optimal Control*, 3.8 (Gramians).
 
     Example:
         >>> from rbjax.control.linear import lyapunov

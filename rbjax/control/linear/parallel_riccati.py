@@ -9,8 +9,8 @@ Two adjacent segments combine, with M = (1 + C1 J2)^-1, as
     F = F2 M F1,   b = F2 M (b1 + C1 e2) + b2,   C = F2 M C1 F2' + C2
     J = F1'J2 M F1 + J1,   e = F1'(e2 - J2 M (b1 + C1 e2)) + e1
 
-This product is associative, so an associative scan gives the segments from every knot to the end in
-log2 N sequential steps. Their J and -e are P and p of `riccati.backward`. R must be positive
+This product is associative, so doubling gives the segments from every knot to the end in log2 N
+sequential steps. Their J and -e are P and p of `riccati.backward`. R must be positive
 definite. Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and
 linear quadratic control*, IEEE TAC 68(2), 2023.
 """
@@ -24,9 +24,8 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.arguments import instance
-from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, check_start, definite_factor
+from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, definite_factor
 from rbjax.control.products import product
-from rbjax.errors import UnknownName
 from rbjax.lanes.arrays import matrix_transpose, matvec
 
 
@@ -86,13 +85,8 @@ def stretches(problem: LinearQuadratic) -> tuple[Stretch, jax.Array]:
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), steps, end), ok.all()
 
 
-def join_tails(each: Stretch, by: str) -> Stretch:
-    """Return the segments from every knot to the end.
-
-    by: "doubling" or "tree", the algorithm of the scan.
-    """
-    if by == "tree":
-        return jax.lax.associative_scan(lambda a, b: join(b, a), each, reverse=True)
+def join_tails(each: Stretch) -> Stretch:
+    """Return the segments from every knot to the end, by doubling."""
     count = each.b.shape[0]
 
     def turn(k, now):
@@ -109,22 +103,20 @@ def join_tails(each: Stretch, by: str) -> Stretch:
     return jax.lax.fori_loop(0, (count - 1).bit_length(), turn, each)
 
 
-def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gains:
+def parallel_backward(problem: LinearQuadratic) -> Gains:
     """Compute the gains of `backward` by log2 N sequential batched products instead of N.
 
     Args:
         problem: one sample, with R positive definite.
-        by: "doubling", or "tree" for fewer products but a longer compile time.
 
     Returns:
         `Gains`; du = -K dx - k. Without success K and k are 0, and entries of P and p that are not
         finite are 0.
 
     Raises:
-        UnknownName: `by`.
+        InputError: not a `LinearQuadratic`.
 
-    It needs 3 log2 N times the arithmetic of `backward` (6 times with "tree"). Use it if the device
-    is not fully used.
+    It needs 3 log2 N times the arithmetic of `backward`. Use it if the device is not fully used.
 
     Source: Särkkä & García-Fernández 2023; Hillis & Steele, CACM 29(12), 1986 (doubling).
 
@@ -136,11 +128,9 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
         >>> round(float(gains.K[0, 0, 0]), 6)
         0.618034
     """
-    if by not in ("doubling", "tree"):
-        raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
     instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
-    to_end = join_tails(all_steps, by)
+    to_end = join_tails(all_steps)
     P, p = to_end.J, -to_end.e
     ok &= jnp.isfinite(P).all() & jnp.isfinite(p).all()
     P, p = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (P, p))
@@ -156,40 +146,3 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
     K, k, good = jax.vmap(gain)(z.A, z.B, z.d, z.R, z.r, z.S, P[1:], p[1:])
     ok &= good.all() & jnp.isfinite(K).all() & jnp.isfinite(k).all()
     return Gains(jnp.where(ok, K, 0.0), jnp.where(ok, k, 0.0), P, p, ok)
-
-
-def parallel_roll(
-    problem: LinearQuadratic, gains: Gains, start: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Compute the closed loop of `roll`, parallel in time, as a composition of affine maps.
-
-    Args:
-        problem: one sample.
-        gains: du = -K dx - k.
-        start: dx_0 (n,).
-
-    Returns:
-        dx (N + 1, n), du (N, m).
-
-    Raises:
-        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import constant_problem, parallel_backward, parallel_roll
-        >>> one = jnp.eye(1)
-        >>> problem = constant_problem(one, one, one, one, 2)
-        >>> x, u = parallel_roll(problem, parallel_backward(problem), jnp.ones(1))
-        >>> [round(float(y), 2) for y in x.ravel()]
-        [1.0, 0.4, 0.2]
-    """
-    start = check_start("parallel_roll", problem, gains, start)
-    F = problem.A - product(problem.B, gains.K)
-    b = problem.d - matvec(problem.B, gains.k)
-
-    def after(one, two):
-        return product(two[0], one[0]), matvec(two[0], one[1]) + two[1]
-
-    F, b = jax.lax.associative_scan(after, (F, b))
-    x = jnp.concatenate([start[None], matvec(F, start) + b])
-    return x, -matvec(gains.K, x[:-1]) - gains.k

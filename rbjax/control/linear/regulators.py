@@ -1,4 +1,4 @@
-"""Linear quadratic regulators: of matrices A and B, of a model at a state, of a finite horizon.
+"""Linear quadratic regulators of infinite horizon: of matrices A and B, of a model at a state.
 
     continuous  minimise  integral of x'Qx + u'Ru + 2 x'Su,   dx/dt = A x + B u
     discrete    minimise  sum of      x'Qx + u'Ru + 2 x'Su,   x+ = A x + B u
@@ -11,19 +11,17 @@ Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3.
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
-from rbjax.arguments import flag, integer
-from rbjax.compiling import compiled
+from rbjax.arguments import flag
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import Regulator, riccati
 from rbjax.control.linear.arguments import check_matrices, check_regulator, weight_matrix
-from rbjax.control.linear.riccati import Gains, backward, constant_problem, definite_factor
+from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, raise_failure
 from rbjax.display import displayed
@@ -139,46 +137,6 @@ def lqr_at(
     found = riccati(A, B, Q, R, S, dt is not None)
     raise_failure("lqr_at", found.status)
     return found._replace(acceleration=linear.acceleration)
-
-
-def lqr_finite(
-    A: Any, B: Any, Q: Any, R: Any, horizon: int, terminal: Any = None, S: Any = None
-) -> Gains:
-    """Compute the discrete linear quadratic regulator of N steps: u_k = -K_k x_k.
-
-    Args:
-        A: (n, n).
-        B: (n, m).
-        Q: (n, n) or (n,).
-        R: (m, m) or (m,).
-        horizon: N.
-        terminal: Q_N, (n, n) or (n,); Q if None.
-        S: (n, m); 0 if None.
-
-    Returns:
-        `Gains`, K (N, m, n) and P (N + 1, n, n).
-
-    Raises:
-        InputError: shapes, values that are not finite.
-
-    Source: Anderson & Moore, 2.4.
-
-    Example:
-        >>> from rbjax.control.linear import lqr_finite
-        >>> lqr_finite([[1.0]], [[1.0]], [1.0], [1.0], 5).K.shape
-        (5, 1, 1)
-    """
-    A, B, Q, R, S = check_regulator("lqr_finite", A, B, Q, R, S)
-    integer("lqr_finite", "horizon", horizon, least=1, why=" steps")
-    end = Q if terminal is None else weight_matrix("lqr_finite", "terminal", terminal, A.shape[0])
-    return _finite(A, B, Q, R, int(horizon), end, S)
-
-
-@functools.partial(compiled, static_argnums=4)
-def _finite(
-    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, horizon: int, end: Any, S: Any
-) -> Gains:
-    return backward(constant_problem(A, B, Q, R, horizon, end, S))
 
 
 def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_solve, solve_triangular
+from jax.scipy.linalg import solve_triangular
 
 from rbjax.arguments import instance, integer
-from rbjax.control.linear.arguments import check_matrices
+from rbjax.control.linear.arguments import check_regulator, weight_matrix
 from rbjax.control.products import product
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array
@@ -68,13 +68,6 @@ class Gains(NamedTuple):
     P: jax.Array
     p: jax.Array
     success: jax.Array
-
-
-def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
-    """Check a problem, its gains and the start dx_0 (n,), and return the start as an array."""
-    instance(where, "problem", problem, LinearQuadratic, MADE)
-    instance(where, "gains", gains, Gains, "Gains, such as rb.control.linear.backward returns")
-    return check_array(where, "start", start, problem.A.shape[-1:])
 
 
 @jax.custom_jvp
@@ -182,7 +175,9 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
         >>> [round(float(y), 2) for y in x.ravel()]
         [1.0, 0.4, 0.2]
     """
-    start = check_start("roll", problem, gains, start)
+    instance("roll", "problem", problem, LinearQuadratic, MADE)
+    instance("roll", "gains", gains, Gains, "Gains, such as rb.control.linear.backward returns")
+    start = check_array("roll", "start", start, problem.A.shape[-1:])
     return roll_linear(problem.A, problem.B, problem.d, -gains.K, -gains.k, start)
 
 
@@ -200,160 +195,38 @@ def roll_linear(
     return jnp.concatenate([x, last[None]]), u
 
 
-def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:
-    """Return the cost of states (N + 1, n) and controls (N, m).
-
-    Args:
-        problem: one sample.
-        x: (N + 1, n), states.
-        u: (N, m), controls.
-
-    Returns:
-        (), the cost.
-
-    Raises:
-        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import constant_problem, quadratic_cost
-        >>> problem = constant_problem(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1), 2)
-        >>> float(quadratic_cost(problem, jnp.ones((3, 1)), jnp.ones((2, 1))))
-        2.5
-    """
-    where = "quadratic_cost"
-    instance(where, "problem", problem, LinearQuadratic, MADE)
-    N, n, m = problem.B.shape
-    x, u = check_array(where, "x", x, (N + 1, n)), check_array(where, "u", u, (N, m))
-    by_state = ((x / 2) * (problem.Q * x[:, None, :]).sum(-1) + problem.q * x).sum()
-    by_control = ((u / 2) * (problem.R * u[:, None, :]).sum(-1) + problem.r * u).sum()
-    return by_state + by_control + (x[:-1, :, None] * problem.S * u[:, None, :]).sum()
-
-
-@displayed
-class Steered(NamedTuple):
-    """The result of `steer`.
-
-    x: states, (N + 1, n).
-    u: controls, (N, m).
-    cost: the minimum cost, ().
-    multiplier: derivative of the cost with respect to -target, (n,).
-    success: true if the target is reached, ().
-    """
-
-    x: jax.Array
-    u: jax.Array
-    cost: jax.Array
-    multiplier: jax.Array
-    success: jax.Array
-
-
-def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Steered:
-    """Minimise the cost of a motion that ends exactly at a target.
-
-    The multiplier l of x_N = target is added to q_N. The final state is affine in it, x_N(l) =
-    x_N(0) - W l with W = sum of F B H^-1 B'F', and F the closed loop from the step to the end. One
-    linear system therefore gives l. W is the controllability Gramian of the closed loop.
-
-    Args:
-        problem: one sample. Its terminal Q only makes H definite; it may be 0.
-        start: dx_0 (n,).
-        target: dx_N (n,).
-
-    Returns:
-        `Steered`; success is false if N steps do not reach the target, or H is not definite.
-
-    Raises:
-        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
-
-    Source: Bryson & Ho, *Applied Optimal Control*, 5.3 (terminal constraints).
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import constant_problem, steer
-        >>> h = 0.1  # a mass of 1 kg by 1 m in 1 s, with the least integral of u^2
-        >>> A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
-        >>> problem = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), 10)
-        >>> round(float(steer(problem, jnp.zeros(2), jnp.array([1.0, 0.0])).cost), 4)
-        12.1212
-    """
-    instance("steer", "problem", problem, LinearQuadratic, MADE)
-    n = problem.A.shape[-1]
-    start, target = (
-        check_array("steer", name, x, (n,)) for name, x in (("start", start), ("target", target))
-    )
-    gains = backward(problem)
-    P = gains.P[1:]
-
-    def back(F, given):  # F: from the state before a step to the end
-        A, B, R, K, P = given
-        H = R + product(B.T, product(P, B))
-        L = definite_factor((H + H.T) / 2)[0]
-        FB = product(F, B)
-        half = solve_triangular(L, FB.T, lower=True)
-        feed = cho_solve((L, True), FB.T)  # (m, n): du = -feed l
-        return product(F, A - product(B, K)), (product(half.T, half), feed)
-
-    one = jnp.eye(n, dtype=start.dtype)
-    along = (problem.A, problem.B, problem.R, gains.K, P)
-    W, feed = jax.lax.scan(back, one, along, reverse=True)[1]
-    W = W.sum(0)
-    x, _ = roll(problem, gains, start)
-    scale = jnp.sqrt(jnp.maximum(jnp.diag(W), jnp.finfo(W.dtype).tiny))
-    L, reached = definite_factor(W / scale[:, None] / scale)
-    multiplier = cho_solve((L, True), (x[-1] - target) / scale) / scale
-    x, u = roll(problem, gains._replace(k=gains.k + product(feed, multiplier)), start)
-    # a Gramian that is singular up to rounding has a factor, but its solution misses the target
-    size = jnp.abs(x).max(0) + jnp.abs(target)
-    near = (jnp.abs(x[-1] - target) <= jnp.sqrt(jnp.finfo(W.dtype).eps) * size).all()
-    ok = gains.success & reached & near
-    return Steered(x, u, quadratic_cost(problem, x, u), multiplier, ok)
-
-
 def constant_problem(
-    A: jax.Array,
-    B: jax.Array,
-    Q: jax.Array,
-    R: jax.Array,
-    horizon: int,
-    terminal: jax.Array | None = None,
-    S: jax.Array | None = None,
+    A: Any, B: Any, Q: Any, R: Any, horizon: int, terminal: Any = None, S: Any = None
 ) -> LinearQuadratic:
-    """Build the problem of N equal steps without affine terms.
+    """Build the problem of N equal steps without affine terms, such as an LQR of finite horizon.
 
     Args:
         A: (n, n).
         B: (n, m).
-        Q: (n, n).
-        R: (m, m).
+        Q: (n, n), symmetric; or the weights (n,).
+        R: (m, m), symmetric; or the weights (m,).
         horizon: N.
-        terminal: Q_N (n, n); Q if None.
+        terminal: Q_N, (n, n) or (n,); Q if None.
         S: (n, m); 0 if None.
 
     Returns:
         `LinearQuadratic`.
 
     Raises:
-        InputError: shapes, values that are not finite, or a horizon below 1.
+        InputError: shapes, values that are not finite, Q or R that is not symmetric, or a horizon
+            below 1.
 
     Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import constant_problem
-        >>> constant_problem(jnp.eye(2), jnp.ones((2, 1)), jnp.eye(2), jnp.eye(1), 3).q.shape
-        (4, 2)
+        >>> from rbjax.control.linear import backward, constant_problem
+        >>> backward(constant_problem([[1.0]], [[1.0]], [1.0], [1.0], 5)).K.shape
+        (5, 1, 1)
     """
     where = "constant_problem"
     integer(where, "horizon", horizon, least=1)
-    A, B, Q, R, *rest = check_matrices(
-        where, ("A", A, "nn"), ("B", B, "nm"), ("Q", Q, "nn"), ("R", R, "mm"),
-        *([] if S is None else [("S", S, "nm")]),
-        *([] if terminal is None else [("terminal", terminal, "nn")]),
-    )  # fmt: skip
-    end = Q if terminal is None else rest[-1]
-    S = None if S is None else rest[0]
-
+    A, B, Q, R, S = check_regulator(where, A, B, Q, R, S)
+    end = Q if terminal is None else weight_matrix(where, "terminal", terminal, A.shape[0])
     A, B = (jnp.broadcast_to(x, (horizon, *x.shape)) for x in (A, B))
-    return constant_weights(A, B, Q, R, end, S)
+    return constant_weights(A, B, Q, R, end.astype(A.dtype), S)
 
 
 def constant_weights(

@@ -1,4 +1,4 @@
-"""Linear systems: controllability, observability, Gramians, poles, discretisation.
+"""Linear systems: controllability, observability, poles, discretisation.
 
     continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
 
@@ -19,7 +19,6 @@ import numpy as np
 from rbjax.arguments import instance, real_number
 from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
-from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model, check_step
@@ -206,60 +205,6 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
             if other != k:
                 rows[other] -= rows[other, pivot] * rows[k]
     return rows
-
-
-def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapunov:
-    """Solve A W + W A' + B B' = 0, or A W A' - W + B B' = 0, for the Gramian W of a stable system.
-
-    Args:
-        A: (n, n), stable.
-        B: (n, m).
-        discrete: true for A W A' - W + B B' = 0.
-
-    Returns:
-        `Lyapunov`, with X = W.
-
-    Raises:
-        InputError: shapes, values that are not finite.
-
-    Differentiable in both modes.
-
-    Source: Zhou, Doyle & Glover, *Robust and Optimal Control*, 3.8.
-
-    Example:
-        >>> from rbjax.control.linear import controllability_gramian
-        >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
-        2.0
-    """
-    A, B = check_matrices("controllability_gramian", ("A", A, "nn"), ("B", B, "nm"))
-    return lyapunov(A, product(B, B.T), discrete=discrete)
-
-
-def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov:
-    """Solve A'W + W A + C'C = 0, or A'W A - W + C'C = 0, for the observability Gramian W.
-
-    x'Wx is the integral (or sum) of |y|^2 of the free response from x.
-
-    Args:
-        A: (n, n), stable.
-        C: (l, n).
-        discrete: true for A'W A - W + C'C = 0.
-
-    Returns:
-        `Lyapunov`, with X = W.
-
-    Raises:
-        InputError: shapes, values that are not finite.
-
-    Source: Zhou, Doyle & Glover, 3.8.
-
-    Example:
-        >>> from rbjax.control.linear import observability_gramian
-        >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
-        2.0
-    """
-    A, C = check_matrices("observability_gramian", ("A", A, "nn"), ("C", C, "ln"))
-    return lyapunov(A.T, product(C.T, C), discrete=discrete)
 
 
 def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
