@@ -173,9 +173,9 @@ TABLE = {
         "model": CART, "states": STATES, "ctrl": np.zeros((3, 1)), "dt": 0.1, "Q": np.ones(4),
         "R": np.ones(1),
     }, {
-        "model": model(), "states": [3, UP], "ctrl": ["x", np.zeros(3), np.full((3, 1), np.nan)],
-        "dt": positive(), "Q": array(4), "R": array(1), "terminal": array(4),
-        "integrator": name(),
+        "model": model(), "states": [3, UP], "dt": [*positive(), 0.0],
+        "ctrl": ["x", np.zeros(3), np.zeros((2, 1)), np.full((3, 1), np.nan)],
+        "Q": array(4), "R": array(1), "terminal": array(4), "integrator": name(),
     }),
     "feedback": (C.feedback, POISED | {"K": np.ones((1, 4))}, {
         "model": model(), "state": state(), "ctrl": array(1), "K": array(1, 4),
@@ -273,8 +273,9 @@ TABLE = {
     }, {
         "model": model(), "policy": function(), "equilibrium": state(),
         "axes": [3, [], [("hinge", -1.0, 1.0)], [("no", -1, 1), ("hinge", -1, 1)],
-                 [("hinge", 1.0, -1.0), ("slider", -1, 1)], [("hinge", "x", 1), ("slider", -1, 1)]],
-        "points": [0, 1, 2.5, "x", (2, 2, 2)], "duration": positive(), "dt": positive(),
+                 [("hinge", 1.0, -1.0), ("slider", -1, 1)], [("hinge", "x", 1), ("slider", -1, 1)],
+                 [("hinge", -1, 1)] * 2, [(9, -1, 1), ("slider", -1, 1)]],
+        "points": [0, 1, 2.5, "x", (2, 2, 2)], "duration": [*positive(), 0.0], "dt": positive(),
         "tolerance": ["x", -1.0, np.nan], "angles": flag(), "integrator": name(),
     }),
 }  # fmt: skip

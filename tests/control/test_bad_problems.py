@@ -8,8 +8,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, methods, solve
+from rbjax.control.optimal.system import system_of
 from rbjax.control.status import BUDGET, CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE, STUCK
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 
 METHODS = [m if m == "ddp" else pytest.param(m, marks=pytest.mark.slow) for m in methods()]
 HOLDING = [m for m in methods() if methods()[m].constraints]
@@ -110,52 +111,31 @@ def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
 # ------------------------------------------------------------ shapes and types
 
 
-@pytest.mark.parametrize(("said", "make"), [
-    ("horizon", lambda: Problem(system(), 0, 1.0, running=[Control()])),
-    ("horizon", lambda: Problem(system(), 2.5, 1.0, running=[Control()])),
-    ("dt", lambda: Problem(system(), 3, running=[Control()])),
-    ("dt", lambda: Problem(system(), 3, -0.1, running=[Control()])),
-    ("no cost", lambda: Problem(system(), 3, 1.0)),
-    ("low", lambda: problem(bounds=(1.0, -1.0))),
-    ("bounds", lambda: problem(bounds=3.0)),
-    ("bounds", lambda: problem(bounds="robot")),
-    ("constraints", lambda: problem(constraints=[lambda t, x, u: x])),
-    ("above high", lambda: Constraint(lambda t, x, u: x, 1.0, -1.0)),
-    ("where", lambda: Constraint(lambda t, x, u: x, where="start")),
-    ("nan", lambda: Constraint(lambda t, x, u: x, jnp.nan, 1.0)),
-    ("weight", lambda: Cost(Control(), -1.0)),
-    ("weight", lambda: Cost(Control(), float("nan"))),
-    ("arguments", lambda: Cost(lambda x: x)),
-    ("free_time", lambda: problem(free_time=(2.0, 1.0))),
-    ("free_start", lambda: problem(free_start=[True, False])),
-    ("expected", lambda: Problem("robot", 3, 1.0, running=[Control()])),
-    ("size", lambda: Equations(lambda t, x, u: x, 0, 1)),
-    ("shape", lambda: solve(problem(), jnp.zeros(2))),
-    ("states", lambda: solve(problem(), START, states=jnp.zeros((3, 1)))),
-    ("ctrl", lambda: solve(problem(), START, ctrl=jnp.zeros((4, 1)))),
-    ("parameters", lambda: solve(problem(), START, parameters=jnp.zeros(1))),
-    ("iterations", lambda: solve(problem(), START, iterations=0)),
-    ("problem", lambda: solve(system(), START)),
-    ("shape", lambda: solve(problem(terminal=[lambda t, x, u: jnp.ones((2, 2))]), START)),
-    ("shape", lambda: solve(Problem(system(lambda t, x, u: jnp.ones(2)), 3, 1.0,
-                                    running=[Control()]), START)),
-    ("state", lambda: solve(Problem(rb.load("pendulum"), 3, running=[Control()]), jnp.zeros(2))),
-])  # fmt: skip
-def test_nonsense_is_refused_by_name(said, make):
-    with pytest.raises(InputError, match=said):
-        make()
-
-
-def test_a_method_that_is_not_there_is_named():
-    with pytest.raises(UnknownName, match="magic"):
-        solve(problem(), START, method="magic")
-
-
 @pytest.mark.parametrize(("said", "terms"), [
     ("weight", {"running": [Cost(Control(), jnp.ones(3))]}),
     ("bounds", {"constraints": [Constraint(lambda t, x, u: x, jnp.zeros(2), jnp.ones(2))]}),
     ("reference", {"terminal": [StateError(jnp.zeros(2))]}),
+    ("shape", {"terminal": [lambda t, x, u: jnp.ones((2, 2))]}),
 ])  # fmt: skip
 def test_shapes_that_do_not_fit_each_other_are_named(said, terms):
     with pytest.raises(InputError, match=said):
         solve(problem(**terms), START)
+
+
+def test_states_and_rates_that_do_not_fit_the_system_are_named():
+    model = Problem(rb.load("pendulum"), 3, running=[Control()])
+    with pytest.raises(InputError, match="the state is"):
+        solve(model, jnp.zeros(2))
+    two = system(lambda t, x, u: jnp.ones(2))
+    with pytest.raises(InputError, match="shape"):
+        solve(Problem(two, 3, 1.0, running=[Control()]), START)
+    with pytest.raises(InputError, match="dt is None"):
+        Problem(two, 3, running=[Control()])
+    with pytest.raises(InputError, match="no cost"):
+        Problem(two, 3, 1.0)
+
+
+def test_an_integrator_is_for_a_model():
+    for given in ({"integrator": "rk4"}, {"dynamics": 3}, {"constraints": "kkt"}):
+        with pytest.raises(InputError, match="f: integrator, dynamics and constraints are for"):
+            system_of("f", system(), **given)

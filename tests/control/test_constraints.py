@@ -177,17 +177,6 @@ def test_spheres_move_with_their_bodies():
     np.testing.assert_allclose(term(model, 0.0, state, None), due, atol=3e-6)
 
 
-@pytest.mark.parametrize("make", [
-    lambda: Clearance([], "link1"), lambda: Clearance(HalfSpace([0, 0, 1.0]), []),
-    lambda: Clearance(HalfSpace([0, 0, 1.0]), "link1", offsets=[0.0, 0, 0]),
-    lambda: Clearance(HalfSpace([0, 0, 1.0]), "link1", radii=[0.1, 0.2]),
-    lambda: Sphere([0.0, 1.0], 1.0), lambda: Clearance("ball", "link1"),
-])  # fmt: skip
-def test_wrong_obstacles_are_refused(make):
-    with pytest.raises(InputError, match="expected"):
-        make()
-
-
 def test_residuals_of_a_pose_have_their_angular_part_first():
     """About its reference, the rate of `Pose` is the twist of the frame in its own axes."""
     model = rb.load("arm7")

@@ -65,11 +65,8 @@ def test_single_precision():
 
 
 @pytest.mark.parametrize(("said", "given"), [
-    ("guess is ArrayImpl", lambda s: {"guess": s.ctrl}),
     (r"guess and \['ctrl'\]", lambda s: {"guess": s, "ctrl": s.ctrl}),
     ("shape", lambda s: {"guess": solve(balance(5), START)}),
-    ("ctrl has numbers that are not finite", lambda s: {"ctrl": s.ctrl.at[2].set(jnp.nan)}),
-    ("states has numbers", lambda s: {"states": s.states.at[2].set(jnp.inf)}),
 ])  # fmt: skip
 def test_a_guess_that_does_not_fit_is_rejected(said, given):
     first = solve(balance(), START)

@@ -64,11 +64,3 @@ def test_hovering_quadrotor():
         model, wrenches=lambda t, state: t * half, undriven="least_squares"
     )
     np.testing.assert_allclose(helped(1.0, state), weight / 8, rtol=1e-9)
-
-
-def test_bad_arguments():
-    model = load_quietly(ARM)
-    with pytest.raises(InputError, match="wrenches has shape"):
-        control.gravity_compensation(model, wrenches=jnp.zeros(6))
-    with pytest.raises(InputError, match="nothing drives 'hinge'"):
-        control.gravity_compensation(load_quietly("cart_pole"))

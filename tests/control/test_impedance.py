@@ -7,7 +7,6 @@ import pytest
 
 import rbjax as rb
 import rbjax.control as control
-from rbjax.errors import InputError
 from tests.control.arms import ARM
 from tests.robots import load_quietly
 
@@ -60,11 +59,3 @@ def test_motion_is_compensated(arm):
     a = rb.forward_dynamics(arm, state.q, state.v, tau)
     want = 20.0 * (START - state.q) - 3.0 * state.v
     np.testing.assert_allclose(rb.mass_matrix(arm, state.q) @ a, want, rtol=1e-9, atol=1e-9)
-
-
-def test_bad_arguments(arm):
-    with pytest.raises(InputError, match="compensate"):
-        control.joint_impedance(arm, START, stiffness=1.0, damping=1.0, compensate="none")
-    with pytest.raises(InputError, match="stiffness has shape"):
-        control.cartesian_impedance(arm, jnp.zeros(3), body="hand", task="position",
-                                    stiffness=np.eye(2), damping=1.0)  # fmt: skip

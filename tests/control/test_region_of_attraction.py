@@ -6,7 +6,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import region_of_attraction
-from rbjax.errors import InputError, UnknownName
 
 RAIL = "tests/oracles/mass_on_a_rail.xml"
 
@@ -88,27 +87,3 @@ def test_a_long_motion_goes_in_parts(monkeypatch):
     assert parts.back.tolist() == whole.back.tolist() and 0 < whole.share < 1
     np.testing.assert_allclose(parts.distance, whole.distance, rtol=1e-9)
     np.testing.assert_allclose(parts.time, whole.time, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "change, error, said",
-    [
-        ({"axes": [("x", -1, 1)]}, InputError, "expected two"),
-        ({"axes": [("x", -1, 1), ("x", -1, 1)]}, InputError, "both axes"),
-        ({"axes": [("x", 1, -1), ("x'", -1, 1)]}, InputError, "low < high"),
-        ({"axes": [("y", -1, 1), ("x'", -1, 1)]}, UnknownName, "coordinate of region"),
-        ({"axes": [(7, -1, 1), ("x'", -1, 1)]}, InputError, "coordinate is 7"),
-        ({"points": 1}, InputError, "points is 1"),
-        ({"duration": 0.0}, InputError, "number of steps"),
-        ({"equilibrium": 0.0}, InputError, "equilibrium is float"),
-        ({"policy": 3}, InputError, "policy is int"),
-    ],
-)
-def test_bad_input(change, error, said):
-    model = rb.load(RAIL)
-    given = {
-        "policy": saturated, "equilibrium": model.default_state(),
-        "axes": [("x", -1, 1), ("x'", -1, 1)], "points": 3,
-    } | change  # fmt: skip
-    with pytest.raises(error, match=said):
-        region_of_attraction(model, **given)

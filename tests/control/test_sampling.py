@@ -13,7 +13,6 @@ import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, SampledStart, Sampling
 from rbjax.control.optimal.shooting.sampling import Draw, control_at, sampled_cost, sampled_motion
 from rbjax.control.status import FINISHED, NOT_FINITE
-from rbjax.errors import InputError, UnknownName
 
 N, H = 6, 0.5
 
@@ -152,28 +151,6 @@ def test_numbers_and_free_starts_are_drawn():
     found = rb.control.solve(problem, START, method=method, iterations=30)
     assert found.states[0, 0] == 1.0 and found.states[0, 1] != 0.0
     assert 1.0 <= found.duration <= 4.0 and found.cost < 0.1
-
-
-@pytest.mark.parametrize(
-    "what, error, said",
-    [
-        ({"update": "mpi"}, UnknownName, "update of Sampling"),
-        ({"spline": "b"}, UnknownName, "spline of Sampling"),
-        ({"samples": 2}, InputError, "samples is 2"),
-        ({"cooling": 1.5}, InputError, "cooling is 1.5"),
-        ({"points": 0}, InputError, "points is 0"),
-    ],
-)
-def test_bad_input(what, error, said):
-    with pytest.raises(error, match=said):
-        Sampling(**what)
-
-
-def test_bad_starts():
-    with pytest.raises(InputError, match="sampling is str"):
-        SampledStart("mppi")
-    with pytest.raises(UnknownName, match=r"method of rb\.control"):
-        rb.control.solve(mass_on_a_line(), START, method="cem")
 
 
 def test_the_acrobot_is_spongs():

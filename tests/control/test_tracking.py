@@ -7,7 +7,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import time_varying_lqr
-from rbjax.errors import InputError
 from rbjax.model import State
 from tests.tolerances import relative_error
 
@@ -74,16 +73,3 @@ def test_attitudes():
     held, loose = rb.rollout(model, off, law, DT, steps=N), rb.rollout(model, off, u, DT)
     error = [np.abs(rb.difference(model, path.q[-1], p.q[-1])).max() for p in (held, loose)]
     assert law.success and error[1] > 2 * error[0]
-
-
-def test_bad_arguments():
-    model, _, u, path = swing()
-    ones = jnp.ones(4)
-    with pytest.raises(InputError, match=r"states\.q has shape"):
-        time_varying_lqr(model, path, u[:-1], DT, ones, jnp.ones(1))
-    with pytest.raises(InputError, match="ctrl has shape"):
-        time_varying_lqr(model, path, u[0], DT, ones, jnp.ones(1))
-    with pytest.raises(InputError, match="Q has shape"):
-        time_varying_lqr(model, path, u, DT, jnp.ones(3), jnp.ones(1))
-    with pytest.raises(InputError, match="positive"):
-        time_varying_lqr(model, path, u, 0.0, ones, jnp.ones(1))
