@@ -1,10 +1,11 @@
-"""Wrong data of a quadruped in the air: what is found and named, what the fit survives.
+"""Wrong recordings of a leg and of a quadruped in the air: what `diagnose` finds, errors of fits.
 
-`python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER] [--cases ...]` prints the
-tables of docs/guides/wrong_data.md, by default that of the leg. The error is the largest of all
-numbers against the truth (of the leg armature, viscous friction and bias of three joints; of the
-quadruped those and Coulomb friction of twelve joints, and the delay): of the fit to the wrong data,
-and of one to what `diagnose` mended. The quadruped's files lie beside the repository, or in FOLDER.
+`python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER] [--cases ...]` writes
+results/cpu-wrong-data-<part>-<device>.json, by default of the leg, if it ran all cases. The error
+is the largest of all parameters against the truth (of the leg armature, viscous friction and bias
+of three joints; of the quadruped those and Coulomb friction of twelve joints, and the delay): of
+the fit to the wrong data, and of a fit to the data that `diagnose` corrected. The quadruped's files
+lie beside the repository, or in FOLDER.
 """
 
 import argparse
@@ -21,10 +22,10 @@ from benchmarks.cases import problems  # noqa: E402
 from benchmarks.cases.problems import Problem, quadruped  # noqa: E402
 from benchmarks.cases.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  # noqa: E402
 from benchmarks.shared.progress import progress  # noqa: E402
-from benchmarks.shared.timing import markdown_table  # noqa: E402
+from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 from rbjax.sysid import Grid, diagnose, identify  # noqa: E402
 
-COLUMNS = ("wrong", "loss", "named", "error", "error_mended", "seconds")
+COLUMNS = ("wrong", "loss", "named", "error", "error, corrected", "seconds")
 #: of the quadruped's recording, s
 PIECE = 3.0
 
@@ -54,16 +55,16 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
         wrong = make(problem.run)
         how = {"loss": loss, "max_evaluations": 40, "restarts": 0} | problem.how
         found = identify(problem.setup, wrong, problem.unknowns, **how)
-        said = diagnose(found)
+        diagnosis = diagnose(found)
         seconds = time.perf_counter() - start
-        mended = identify(problem.setup, said.recordings, problem.unknowns, **problem.how)
+        corrected = identify(problem.setup, diagnosis.recordings, problem.unknowns, **problem.how)
         named = "; ".join(
-            " ".join([cause.kind, *cause.channels, *cause.columns]) for cause in said.causes
+            " ".join([cause.kind, *cause.channels, *cause.columns]) for cause in diagnosis.causes
         )
         rows.append({"wrong": name, "loss": loss, "named": named or "nothing",
-                     "error": error(found), "error_mended": error(mended),
+                     "error": error(found), "error, corrected": error(corrected),
                      "seconds": seconds})  # fmt: skip
-        print(rows[-1], said.summary(), sep="\n", flush=True)
+        print(rows[-1], diagnosis.summary(), sep="\n", flush=True)
     return rows
 
 
@@ -76,4 +77,7 @@ if __name__ == "__main__":
     problems.GO2 = asked.data
     for part, make in (("leg", of_leg), ("quadruped", of_quadruped)):
         if part in asked.parts and (part == "leg" or problems.GO2.exists()):
-            print(f"\n{part}\n{markdown_table(table(*make(), asked.cases), COLUMNS)}", flush=True)
+            rows = table(*make(), asked.cases)
+            print(f"\n{part}\n{markdown_table(rows, COLUMNS)}", flush=True)
+            if not asked.cases:
+                print(save(f"cpu-wrong-data-{part}", rows))
