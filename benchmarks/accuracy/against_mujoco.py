@@ -1,7 +1,9 @@
 """Relative errors of rbjax and MJX against MuJoCo C (f64) over the whole test list, f64 and f32.
 
-`python -m benchmarks.accuracy.against_mujoco [--full]`: 100 random states of every loadable model
-and of 50 random trees with --full, else of every eighth, and of the robots of the figures; FK, mass
+`python -m benchmarks.accuracy.against_mujoco [--full] [--without WORD]`: 100 random states of every
+loadable model and of 50 random trees with --full, else of every eighth, and of the robots of the
+figures. Models whose names have the word keep the rows of an older run (the crowds of humanoids
+compile for an hour). FK, mass
 matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of one state; the
 tables give the largest over quantities and states (f64), and the median
 and largest (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
@@ -27,7 +29,7 @@ from benchmarks.cases.models import MODELS, SINGULAR, switch_off_constraints
 from benchmarks.cases.random_trees import random_tree
 from benchmarks.shared.progress import add_full, progress, sized
 from benchmarks.shared.robots import NAMES, states
-from benchmarks.shared.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, others, save
 
 COUNT = 100
 QUANTITIES = ("position", "attitude", "mass matrix", "bias", "forward dynamics")
@@ -89,7 +91,9 @@ def mjx_errors(m: mujoco.MjModel, q, v, tau, qacc) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     add_full(parser, "all models", "an eighth of them")
-    full = parser.parse_args().full
+    parser.add_argument("--without", help="a word in the names of models that keep older rows")
+    given = parser.parse_args()
+    full = given.full
     sources = {name: entry.load for name, entry in MODELS.items() if name not in SINGULAR}
     for seed in range(50):
         sources[f"random tree {seed}"] = lambda s=seed: mujoco.MjModel.from_xml_string(
@@ -98,6 +102,8 @@ def main() -> None:
     if not full:
         some = {*[*sources][::8], *NAMES.values()}
         sources = {name: load for name, load in sources.items() if name in some}
+    if given.without:
+        sources = {name: load for name, load in sources.items() if given.without not in name}
     rows = []
     for name in progress(sources):
         m = sources[name]()
@@ -142,7 +148,8 @@ def main() -> None:
     }
     middle = float(np.median([r["f32 median"] for r in rows]))
     print(f"{len(rows)} models, f64 max {worst:.1e}, median of f32 medians {middle:.1e}", over)
-    print(save(sized("accuracy", full), rows))
+    name = sized("accuracy", full)
+    print(save(name, rows + (others(name, rows, ["model"]) if given.without else [])))
 
 
 if __name__ == "__main__":

@@ -122,11 +122,14 @@ class Pivot:
     where: dict[str, Any] | Callable[[Row], bool] = field(default_factory=dict)
     best: Callable[[Iterable[float]], float] = max
     order: tuple[Any, ...] = ()
+    optional: bool = False
 
     def names(self) -> list[str]:
-        return matching(self.files)
+        return matching(self.files, self.optional)
 
     def markdown(self) -> str:
+        if not self.names():
+            return f"Not measured yet: `{self.command}`."
         plain = Table(self.files, (), where=self.where)
         lines: dict[tuple[str, ...], dict[Any, list[float]]] = {}
         for row in plain.rows():

@@ -1,8 +1,8 @@
-"""Closed loops on a GPU and on one core."""
+"""Closed loops on a GPU and on one core, errors of formulations."""
 
 from __future__ import annotations
 
-from docs.generate.figures.kinds import Figure, Number, Ratio
+from docs.generate.figures.kinds import Cell, Figure, Number, Ratio
 
 ROBOTS = {"four_bar": "four-bar", "cassie": "Cassie"}
 MJX = tuple(f"MJX, {count} iterations" for count in (1, 4))
@@ -31,4 +31,18 @@ CORE = {"what": "loops", "batch": 4096}
 FIGURES = _gpu() | {
     "loops.core": Number("cpu-loops-amd-epyc", "Pinocchio's time over ours", CORE, digits=2),
     "loops.core.difference": Number("cpu-loops-amd-epyc", "loops differ by", CORE, digits=1),
+}
+
+
+def _error(name: str, family: str, mechanism: str, digits: int = 2) -> Cell:
+    return Cell("benchmarks/formulations.md", (name, family), mechanism, digits)
+
+
+CRANK, PENDULUM = "spatial slider-crank", "Cartesian pendulum"
+FIGURES |= {
+    "formulations.drift": _error("multipliers", "redundant", CRANK),
+    "formulations.drift.baumgarte": _error("baumgarte", "redundant", CRANK),
+    "formulations.drift.projected": _error("projected", "redundant", CRANK),
+    "formulations.pendulum": _error("multipliers", "redundant", PENDULUM, 1),
+    "formulations.pendulum.index-2": _error("index 2", "redundant", PENDULUM, 1),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from docs.generate.figures.kinds import Figure, Held
 
 LOOPS, MOTION = "constraints/test_benchmarks.py", "wheeled/test_motion.py"
+BEAMS = "flexible/test_beam_motions.py"
 ROTATIONS, TOPS = "rotations/test_representation.py", "body/test_tops.py"
 TEXTS = {
     "operations": ("dynamics/test_minimum.py", '"free_body": (18, ', 2),
@@ -44,6 +45,14 @@ TEXTS = {
         "control/test_collocation.py",
         '="gauss_legendre"\n    )\n    assert found.success and abs(found.duration - case["T"]) < ',
     ),
+    "beams.elastica": ("flexible/strain/test_statics.py", 'elastica_error(12, ["10"])[0] < '),
+    "beams.roll-up": ("flexible/strain/test_statics.py", "np.abs(at[:2] - want).max() < "),
+    "beams.bend": ("flexible/strain/test_statics.py", "np.abs(got - want).max() < "),
+    "beams.frequency": ("flexible/test_beam_frequencies.py", "(7, ["),
+    "beams.spin-up": (BEAMS, "rtol=0, atol="),
+    "beams.trend": (BEAMS, "(np.abs(trend) < "),
+    "beams.gradient": (BEAMS, "assert_allclose(found[i], want, rtol="),
+    "beams.identities": ("dynamics/test_modal_link.py", "np.eye(model.nv), atol="),
     "orders": ("solvers/test_orders.py", "WITHIN = ", 2),
     "solver-gradients": ("solvers/test_transformations.py", "DERIVATIVE = "),
     "manifold": ("stability/runs/test_drift.py", "    assert error < "),

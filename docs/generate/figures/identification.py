@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from docs.generate import measured
-from docs.generate.figures.kinds import Figure, Number, Rows
+from docs.generate.figures.kinds import Figure, Number, Ratio, Rows
 
 CORE, XEON, H100 = "amd-epyc", "intel-r-xeon-r-processor", "nvidia-h100-80gb-hbm3"
 
@@ -73,4 +73,14 @@ def _real() -> dict[str, Figure]:
     return out
 
 
-FIGURES = _simulated() | _real()
+OUTLIERS = {"wrong": "5 % outliers"}
+WRONG = f"cpu-wrong-data-leg-{CORE}"
+FIGURES = _simulated() | _real() | {
+    "wrong.worst": Number(WRONG, "error", digits=2),
+    "wrong.huber": Ratio(
+        Number(WRONG, "error", OUTLIERS | {"loss": "squares"}),
+        Number(WRONG, "error", OUTLIERS | {"loss": "huber"}),
+        2,
+    ),
+    "wrong.corrected": Number(WRONG, "error, corrected", scale=100, digits=1),
+}  # fmt: skip

@@ -2,6 +2,35 @@
 
 from __future__ import annotations
 
-from docs.generate.figures.kinds import Figure
+from docs.generate import measured
+from docs.generate.figures.kinds import Figure, Number, Ratio
 
-FIGURES: dict[str, Figure] = {}
+H100 = "nvidia-h100-80gb-hbm3"
+
+
+def _rate(task: str, what: str = "step") -> Number:
+    """Millions of control steps a second of 8,192 robots."""
+    file, where = f"gpu-environments-{H100}", {"task": task, "what": what, "batch": 8192}
+    return Number(file, "M/s", where, digits=2)
+
+
+def _steps(algorithm: str) -> Number:
+    """Steps of a training until the reward of an episode is 800."""
+
+    def first(row: measured.Row) -> float:
+        return min(report["steps"] for report in row["curve"] if report["reward"] >= 800)
+
+    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first)
+
+
+FIGURES: dict[str, Figure] = {
+    "envs.go1": _rate("go1_joystick_flat"),
+    "envs.go1.faster": Ratio(
+        _rate("go1_joystick_flat:iterations=3"), _rate("go1_joystick_flat"), 2
+    ),
+    "envs.g1.faster": Ratio(_rate("g1_joystick:iterations=3"), _rate("g1_joystick"), 2),
+    "envs.cart-pole.unroll": Ratio(
+        _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
+    ),
+    "training.steps-ratio": Ratio(_steps("ppo"), _steps("shac"), 2),
+}

@@ -2,6 +2,7 @@
 
 from docs.generate.subjects import (
     accuracy,
+    beams,
     control,
     identification,
     learning,
@@ -14,6 +15,7 @@ TABLES = (
     motion.TABLES
     | one_core.TABLES
     | accuracy.TABLES
+    | beams.TABLES
     | learning.TABLES
     | control.TABLES
     | identification.TABLES

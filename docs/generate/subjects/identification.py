@@ -74,6 +74,18 @@ TABLES = {
         ),
         "python -m benchmarks.cpu.legs_in_the_air --full",
     ),
+    "wrong data": Table(
+        ("cpu-wrong-data-*",),
+        (
+            C(lambda row: "leg" if "leg" in row["file"] else "quadruped", "robot"),
+            C("wrong", "mistake"),
+            C("loss"),
+            C("named"),
+            C("error", digits=2),
+            C("error, corrected", digits=2),
+            C("seconds", digits=2),
+        ),
+    ),
     "double pendulum motors": Table(
         ("cpu-double-pendulum-motors-*",),
         (

@@ -37,6 +37,22 @@ TABLES = {
             C(lambda row: _last(row)["episodes"], "episodes"),
         ),
     ),
+    "policies": Table(
+        ("policies-*",),
+        (
+            C("task"),
+            C("trained with"),
+            C("options", "options of the evaluation"),
+            C("physics"),
+            C("episodes"),
+            C("return"),
+            C("std", "its standard deviation", 2),
+            C("upright", "% upright to the end", 3, 100),
+        ),
+        "python -m benchmarks.envs.policies FOLDER",
+        sort=lambda row: (row["task"], row["trained with"], row["options"], row["physics"]),
+        optional=True,
+    ),
     "settings of SHAC": Table(
         ("shac-settings-*",),
         (

@@ -96,15 +96,4 @@ TABLES = {
         PRECISION,
         {"what": "reference"},
     ),
-    "exudyn": Table(
-        ("flexible-exudyn-*",),
-        (
-            C("scene"),
-            C("formulation"),
-            C("segments"),
-            C("coordinates"),
-            C("error", digits=2),
-            C("run_s", "run, s"),
-        ),
-    ),
 }

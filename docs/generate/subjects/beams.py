@@ -1,0 +1,38 @@
+"""Beams: errors and times compared with Exudyn, evaluations on a GPU, single precision."""
+
+from docs.generate.tables import Column as C
+from docs.generate.tables import Pivot, Table
+
+TABLES = {
+    "exudyn": Table(
+        ("flexible-exudyn-*",),
+        (
+            C("scene"),
+            C("formulation"),
+            C("segments"),
+            C("coordinates"),
+            C("error", digits=2),
+            C("run_s", "run, s"),
+        ),
+    ),
+    "gpu beams": Pivot(
+        ("gpu-flexible-*",),
+        (C("on"), C("robot"), C("nv", "coordinates"), C("dtype")),
+        "run",
+        C("M/s median", "million a second"),
+        "python -m benchmarks.gpu.flexible",
+        optional=True,
+    ),
+    "cable in f32": Table(
+        ("accuracy-cable-float32-*",),
+        (
+            C("integrator"),
+            C("dt", "step, s"),
+            C("after 5 s", digits=1),
+            C("after 10 s", digits=1),
+            C("largest", digits=1),
+        ),
+        "python -m benchmarks.accuracy.cable_float32",
+        optional=True,
+    ),
+}
