@@ -2,11 +2,10 @@
 
 `python -m benchmarks.accuracy.against_mujoco [--full] [--without WORD]`: 100 random states of every
 loadable model and of 50 random trees with --full, else of every eighth, and of the robots of the
-figures. Models whose names have the word keep the rows of an older run (the crowds of humanoids
-compile for an hour). FK, mass
-matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of one state; the
-tables give the largest over quantities and states (f64), and the median
-and largest (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
+figures. Models whose names have WORD keep the rows of an older run: `_humanoids` compile for an
+hour. FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of
+one state; the tables give the largest over quantities and states (f64), and the median and largest
+(f32). For the robots of the figures they also show MJX's f32 forward dynamics.
 """
 
 from __future__ import annotations
