@@ -25,15 +25,49 @@ SHEET = Template("""\
   --md-typeset-a-color: $light_blue;
 }
 
-/* wide tables scroll in their frame, and rows are tight */
+/* 92 columns of code between two narrow side bars */
+.md-grid {
+  max-width: 66rem;
+}
+
+@media screen and (min-width: 60em) {
+  .md-sidebar {
+    width: 10.6rem;
+  }
+}
+
+/* rows are tight, columns as wide as their words */
 .md-typeset table:not([class]) th,
 .md-typeset table:not([class]) td {
-  padding: 0.45em 0.9em;
+  min-width: 0;
+  padding: 0.45em 0.7em;
   vertical-align: top;
 }
 
 .md-typeset table:not([class]) td code {
   white-space: nowrap;
+}
+
+/* a row of empty headings is left out */
+.md-typeset table:not([class]) thead:not(:has(th:not(:empty))) {
+  display: none;
+}
+
+/* wide tables scroll in their frame: a shadow at the edge says that there is more */
+.md-typeset__scrollwrap table:not([class]) {
+  background: none;
+}
+
+.md-typeset__scrollwrap {
+  background:
+    linear-gradient(to right, var(--md-default-bg-color) 40%, transparent) 0 0 / 2.4rem 100%
+      no-repeat local,
+    linear-gradient(to left, var(--md-default-bg-color) 40%, transparent) 100% 0 / 2.4rem 100%
+      no-repeat local,
+    linear-gradient(to right, var(--md-default-fg-color--lightest), transparent) 0 0 / 0.5rem
+      100% no-repeat,
+    linear-gradient(to left, var(--md-default-fg-color--lightest), transparent) 100% 0 / 0.5rem
+      100% no-repeat;
 }
 
 /* numbers of equal width stand below each other */
@@ -74,12 +108,10 @@ SHEET = Template("""\
     linear-gradient(currentColor, currentColor) 100% 100% / 0.3em 1px no-repeat;
 }
 
-/* pictures have a white ground: on a dark page they keep a frame of it */
-[data-md-color-scheme="slate"] .md-typeset img[src$$=".png"],
-[data-md-color-scheme="slate"] .md-typeset img[src$$=".svg"] {
-  background: $paper;
-  border-radius: 4px;
-  padding: 6px;
+/* pictures have a white ground: on a dark page their lightness is inverted, and not their hue */
+[data-md-color-scheme="slate"] .md-typeset img {
+  filter: invert(1) hue-rotate(180deg);
+  mix-blend-mode: screen;
 }
 
 /* entries of the reference */

@@ -47,7 +47,7 @@ PICTURE = {
 STYLE = (
     "<style>.cards{display:grid;gap:1rem;"
     "grid-template-columns:repeat(auto-fill,minmax(260px,1fr))}"
-    ".cards img{background:#fff;border-radius:.2rem;width:100%;height:160px;object-fit:contain}"
+    ".cards img{border-radius:.2rem;width:100%;height:160px;object-fit:contain}"
     "</style>"
 )
 
