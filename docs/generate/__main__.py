@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import time
 
-from docs.generate import rooms, tree
-from docs.generate.convert import convert
+from docs.generate import tree
+from docs.generate.markdown.convert import convert
+from docs.generate.reference import rooms
 
 OUT = tree.ROOT / ".cache" / "docs"
 

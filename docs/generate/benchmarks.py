@@ -14,7 +14,7 @@ from docs.generate import measured
 from docs.generate.figures import renewed
 from docs.generate.subjects import TABLES
 from docs.generate.subjects.charts import CHARTS
-from docs.generate.tables import folded
+from docs.generate.subjects.tables import folded
 
 ROOT = measured.ROOT
 FOLDER = ROOT / "docs" / "benchmarks"

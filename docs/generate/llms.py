@@ -9,7 +9,8 @@ import inspect
 import re
 from pathlib import Path
 
-from docs.generate import rooms, tree
+from docs.generate import tree
+from docs.generate.reference import rooms
 
 #: largest sizes in bytes
 SMALL, LARGE = 10_000, 1_000_000

@@ -1,8 +1,8 @@
 """The tree of the site: sources of docs/, generated pages, and the order of pages.
 
 A folder's `index.md` gives the order: pages come in the order of its links, the others after them
-by title. A generator is a file of this folder with a function `pages(root)`, which returns the text
-or the bytes of each file that it makes, by path below docs/.
+by title. A generator is a file of this folder, or of a folder inside, with a function
+`pages(root)`, which returns the text or the bytes of each file that it makes, by path below docs/.
 """
 
 from __future__ import annotations
@@ -30,20 +30,17 @@ TABS = {
 SECTIONS = {"howto": ("guides", "tasks"), "tutorials": ("animations",)}
 #: generators that read the pages of the others
 LAST = ("llms",)  # they read what the others have written
+MAKES_PAGES = re.compile(r"^def pages\(root", re.MULTILINE)
 
 Pages = dict[str, str | bytes]
 
 
 def generators() -> list[str]:
     """Names of the generators, in the order in which they run."""
-    here = sorted(p.stem for p in Path(__file__).parent.glob("*.py"))
-    found = [n for n in here if n not in ("__init__", "__main__", *LAST) and _makes_pages(n)]
-    return found + [n for n in LAST if n in here]
-
-
-def _makes_pages(name: str) -> bool:
-    text = (Path(__file__).parent / f"{name}.py").read_text()
-    return re.search(r"^def pages\(", text, re.MULTILINE) is not None
+    here = Path(__file__).parent
+    files = (p for p in sorted(here.rglob("*.py")) if MAKES_PAGES.search(p.read_text()))
+    found = [".".join(p.relative_to(here).with_suffix("").parts) for p in files]
+    return [n for n in found if n not in LAST] + [n for n in LAST if n in found]
 
 
 def generated(name: str, root: Path) -> Pages:

@@ -4,9 +4,10 @@ import doctest
 
 import pytest
 
-from docs.generate import bars, benchmarks, figures, measured, tables, tutorials
+from docs.generate import benchmarks, figures, measured
 from docs.generate.figures import kinds
-from docs.generate.subjects import TABLES
+from docs.generate.subjects import TABLES, bars, tables
+from docs.generate.tutorials import pages as tutorials
 from rbjax import style
 from tests import tolerances
 

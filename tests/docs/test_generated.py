@@ -5,7 +5,7 @@ import re
 import pytest
 
 import rbjax as rb
-from docs.generate import command_line, registries
+from docs.generate.reference import command_line, registries
 from tests.docs.pages import DOCS, ROOT
 
 

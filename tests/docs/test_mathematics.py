@@ -6,8 +6,8 @@ from tests.docs.pages import PAGES, name, prose
 
 pytest.importorskip("latex2mathml", reason="pip install 'rbjax[docs]'")
 
-from docs.generate.convert import convert
-from docs.generate.mathematics import mathml, with_mathml
+from docs.generate.markdown.convert import convert
+from docs.generate.markdown.mathematics import mathml, with_mathml
 
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=name)

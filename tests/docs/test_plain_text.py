@@ -1,6 +1,6 @@
 """Docstrings as Markdown: plain text is no markup, names are links, examples stay."""
 
-from docs.generate.plain_text import escaped, linked, markdown
+from docs.generate.markdown.plain_text import escaped, linked, markdown
 
 LINKS = {"rbjax.load": "rbjax.load", "rbjax.dynamics.jacobian": "rbjax.jacobian"}
 

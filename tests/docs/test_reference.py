@@ -5,7 +5,8 @@ import pkgutil
 import pytest
 
 import rbjax as rb
-from docs.generate import reference, rooms
+from docs.generate.reference import pages as reference
+from docs.generate.reference import rooms
 from tests.docs.pages import ROOT
 
 

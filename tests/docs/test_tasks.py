@@ -5,7 +5,8 @@ import json
 import pytest
 
 import rbjax as rb
-from docs.generate import tasks
+from docs.generate.tasks import pages as tasks
+from docs.generate.tasks.definition import blocks
 from tests.docs.pages import DOCS, ROOT
 
 CLIPS = DOCS / "tasks" / "clips"
@@ -44,3 +45,10 @@ def test_a_training_is_on_the_page_of_its_task():
     curves = tasks.trainings("cart_pole_swing_up")
     assert {algorithm for algorithm, _ in curves} >= {"ppo", "shac"}
     assert tasks.chart(curves).startswith(b"<?xml")
+
+
+def test_a_definition_has_prose_lists_and_tables():
+    text = "Rewards:\n    up      1 if z > 0,\n            else 0\n    slow    |v|\nAnd:\n    - one\n      two"
+    prose, rows, then, items = blocks(text)
+    assert prose == "Rewards:" and then == "And:" and items == "- one two"
+    assert "| `up` | 1 if z > 0, else 0 |" in rows and "| `slow` | \\|v\\| |" in rows

@@ -32,7 +32,7 @@ def test_pages_come_as_the_index_links_them(tmp_path):
 
 def test_every_generator_is_found():
     names = tree.generators()
-    assert {"reference", "registries", "command_line", "home", "style_sheet"} <= set(names)
+    assert {"reference.pages", "reference.command_line", "tasks.pages", "home"} <= set(names)
     assert names[-1] == "llms"
 
 

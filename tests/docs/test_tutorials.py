@@ -5,7 +5,8 @@ import json
 
 import pytest
 
-from docs.generate import notebooks, tutorials
+from docs.generate.tutorials import notebooks
+from docs.generate.tutorials import pages as tutorials
 from tests.docs.pages import ROOT
 
 

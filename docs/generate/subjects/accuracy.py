@@ -1,7 +1,7 @@
 """Accuracy of rbjax and MJX against MuJoCo C in f64 and f32, and of libraries of rotations."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 TABLES = {
     "f64 and f32": Table(

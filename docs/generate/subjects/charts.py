@@ -1,6 +1,6 @@
 """The charts of the benchmark pages, by the names of their files."""
 
-from docs.generate.bars import Bars, Dots
+from docs.generate.subjects.bars import Bars, Dots
 
 NAMES = {"panda": "Panda, 7 dof", "humanoid": "humanoid, 23 dof", "g1": "G1, 35 dof"}
 STANDING = {

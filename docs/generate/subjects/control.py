@@ -1,7 +1,7 @@
 """Control and planning: optimal control, predictive control, regulators, kinematics, searches."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 GPU_CONTROL = "python -m benchmarks.gpu.control"
 

@@ -1,7 +1,7 @@
 """Identification: simulated and real recordings, intervals, derivatives of simulation errors."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Table
 
 TABLES = {
     "identification": Table(

@@ -1,7 +1,7 @@
 """Environments and training."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 
 def _last(row: dict) -> dict:

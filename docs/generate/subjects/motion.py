@@ -1,7 +1,7 @@
 """On a GPU: forward dynamics, rollouts, gradients, contacts, loops, forces, wheels."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 ROBOTS = ("panda", "humanoid", "g1", "tree60")
 RATE = C("M/s median", "million a second")

@@ -1,7 +1,7 @@
 """One core of a CPU: algorithms, calls, machine code compared with XLA, compile times."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 ROBOT, WHAT = C("robot"), C("what", "")
 

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 PRECISION = "make bench-work-precision"
 

@@ -120,6 +120,7 @@ def _box(transition: Any) -> jax.Array:
 
 
 def _gripper(transition: Any) -> jax.Array:
+    """Observe the position (3,) of the gripper in world axes, m."""
     return transition.after.site("gripper").position.array
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 
-from docs.generate.mathematics import with_mathml
-from docs.generate.plain_text import linked
+from docs.generate.markdown.mathematics import with_mathml
+from docs.generate.markdown.plain_text import linked
 
 FENCE = re.compile(r"^( *)(```+|~~~+)([^\n]*)\n.*?^\1\2[ \t]*$", re.DOTALL | re.MULTILINE)
 CODE = re.compile(r"(``.+?``|`[^`\n]+`)")

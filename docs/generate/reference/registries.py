@@ -5,16 +5,16 @@ from __future__ import annotations
 import functools
 import importlib
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import rbjax as rb
-from docs.generate import rooms, tree
-from docs.generate.plain_text import escaped
+from docs.generate import tree
+from docs.generate.markdown.plain_text import escaped
+from docs.generate.markdown.table import table
+from docs.generate.reference import rooms
 from rbjax.motion.integrators import INTEGRATORS, TABLEAUS
-
-Rows = Iterable[tuple[str, ...]]
 
 
 def pages(root: Path) -> tree.Pages:
@@ -58,14 +58,11 @@ def linked(value: Any) -> str:
     return f"[{name}][{home}]" if home else name
 
 
-def table(head: tuple[str, ...], rows: Rows) -> list[str]:
-    body = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in rows]
-    top = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    return [*top, *(f"| {row} |" for row in body), ""]
-
-
-def page(head: str, text: str, *parts: list[str]) -> str:
-    return "\n".join([f"# {head}", "", text, "", *(line for part in parts for line in part)])
+def page(head: str, text: str, *parts: str | list[str]) -> str:
+    lines = [f"# {head}", "", text, ""]
+    for part in parts:
+        lines += [part] if isinstance(part, str) else part
+    return "\n".join(lines)
 
 
 def yes(flag: Any) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from docs.generate import notebooks, repository
-from docs.generate.notebooks import Notebook
+from docs.generate import repository
+from docs.generate.tutorials import notebooks
+from docs.generate.tutorials.notebooks import Notebook
 
 #: the order of the list
 ORDER = {

@@ -12,10 +12,10 @@ from typing import Any
 
 from griffe import Class, Extension, Function, Parameter, ParameterKind, Parameters
 
-from docs.generate.plain_text import markdown
+from docs.generate.markdown.plain_text import markdown
 
 #: written by `python -m docs.generate`: a name as text, and the path under which it is described
-LINKS = Path(__file__).parents[2] / ".cache" / "links.json"
+LINKS = Path(__file__).parents[3] / ".cache" / "links.json"
 #: the same for the parameters of classes, each (name, kind, annotation, default)
 SIGNATURES = LINKS.with_name("signatures.json")
 

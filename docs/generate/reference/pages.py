@@ -6,8 +6,9 @@ import inspect
 import re
 from pathlib import Path
 
-from docs.generate import rooms, tree
-from docs.generate.plain_text import escaped
+from docs.generate import tree
+from docs.generate.markdown.plain_text import escaped
+from docs.generate.reference import rooms
 
 #: pages in addition to the rooms
 EXTRA = [
