@@ -48,7 +48,7 @@ def test_a_training_is_on_the_page_of_its_task():
 
 
 def test_a_definition_has_prose_lists_and_tables():
-    text = "Rewards:\n    up      1 if z > 0,\n            else 0\n    slow    |v|\nAnd:\n    - one\n      two"
-    prose, rows, then, items = blocks(text)
+    rewards = "Rewards:\n    up      1 if z > 0,\n            else 0\n    slow    |v|\n"
+    prose, rows, then, items = blocks(rewards + "And:\n    - one\n      two")
     assert prose == "Rewards:" and then == "And:" and items == "- one two"
     assert "| `up` | 1 if z > 0, else 0 |" in rows and "| `slow` | \\|v\\| |" in rows
