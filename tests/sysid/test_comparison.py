@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import rbjax as rb
 from rbjax.sysid.statistics import Scored, compare, held_out, whiteness
 
 RNG = np.random.default_rng(0)
@@ -98,16 +97,3 @@ def test_correlated_residuals_need_effective_samples():
         naive += compare(small, large, 200).significant
         honest += compare(small, large, max(whiteness(r).effective_samples, 3)).significant
     assert naive > 40 and honest < 10
-
-
-def test_bad_arguments_are_named():
-    with pytest.raises(rb.InputError, match="on both sides: run 0"):
-        held_out(half(True), half(True))
-    with pytest.raises(rb.InputError, match="0 fitted and 3 unseen"):
-        held_out({}, half(False))
-    with pytest.raises(rb.InputError, match="no residuals"):
-        held_out({"a": [np.nan]}, half(False))
-    with pytest.raises(rb.InputError, match="a has 2 parameters and b 2, with 10 samples"):
-        compare(Scored("a", 2.0, 2), Scored("b", 1.0, 2), 10)
-    with pytest.raises(rb.InputError, match="b leaves 3 and a 2, expected no more"):
-        compare(Scored("a", 2.0, 2), Scored("b", 3.0, 3), 10)

@@ -221,10 +221,3 @@ def test_the_verdict_names_each_check_that_fails(change, said):
     found = identify(model, run, MASS, restarts=0, max_evaluations=change.get("steps", 100))
     assert found.verdict.success == (not change) and said in found.verdict.summary()
     assert found.verdict.summary() in found.summary() and "mass = " in found.summary()
-
-
-def test_bad_arguments():
-    with pytest.raises(rb.InputError, match="restarts"):
-        identify(MODEL, seen(), MASS, restarts=-1)
-    with pytest.raises(rb.InputError, match="estimate_initial_state is 'no'"):
-        identify(MODEL, seen(), MASS, estimate_initial_state="no")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-import rbjax as rb
 from rbjax.sysid.design import Fourier, Spline
 from rbjax.sysid.design.experiments import CRITERIA
 from rbjax.sysid.statistics import estimates
@@ -129,15 +128,3 @@ def test_random_motions():
     v = one(jnp.arange(200) * 5 / 200).v
     # a and b of each harmonic: sum of (a^2 + b^2)/2 has the mean speed^2; 120 of each: 10 %
     assert abs(np.sqrt(np.mean(v**2)) / 0.3 - 1) < 0.15
-
-
-def test_bad_arguments_are_named():
-    zero = jnp.zeros((2, 3))
-    with pytest.raises(rb.InputError, match=r"q0, a and b have shapes \[\(3,\), \(2, 3\), \(2, 3"):
-        Fourier(jnp.zeros(3), zero, zero, 1.0)
-    with pytest.raises(rb.InputError, match=r"period is 0.0, expected a positive time in s"):
-        Fourier(jnp.zeros(2), zero, zero, 0.0)
-    with pytest.raises(rb.InputError, match=r"points has shape \(2, 2\), expected \(n, m\)"):
-        Spline(zero[:, :2], 1.0)
-    with pytest.raises(rb.InputError, match=r"duration is -1.0, expected"):
-        Spline(zero, -1.0)

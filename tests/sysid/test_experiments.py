@@ -144,20 +144,3 @@ def test_limits_that_cannot_hold_are_said():
     found = quiet(ONE, spring_and_mass, limits, samples=20, rounds=3, steps=20)
     assert not found.success and found.worst["own"] >= 0.1
     assert "limits are broken: own by" in found.summary()
-
-
-def test_bad_arguments_are_named():
-    with pytest.raises(rb.UnknownName, match=r"criterion 'F'; .* 'D', 'A', 'E', 'condition'"):
-        quiet(ONE, spring_and_mass, criterion="F")
-    with pytest.raises(rb.InputError, match="identifies 1 combinations of 2 unknowns"):
-        quiet(ONE, lambda q, v, a: jnp.concatenate([q, 2 * q], 1))
-    with pytest.raises(rb.InputError, match=r"information gave an array of shape \(100,\)"):
-        quiet(ONE, lambda q, v, a: q[:, 0])
-    with pytest.raises(rb.InputError, match=r"known has shape \(3, 3\), expected \(2, 2\)"):
-        quiet(ONE, spring_and_mass, known=np.eye(3))
-    with pytest.raises(rb.InputError, match="only one of torque and model is given"):
-        MotionLimits(torque=3.0)
-    with pytest.raises(rb.InputError, match="only one of low and high"):
-        MotionLimits(low=3.0)
-    with pytest.raises(rb.InputError, match=r"high - low is -2.0, expected positive"):
-        MotionLimits(low=1.0, high=-1.0)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.errors import InputError
 from rbjax.sysid import (
     Channel,
     Derived,
@@ -68,14 +67,6 @@ def test_guesses_that_are_given():
     found = many_starts(turning(0.05), run, ROTOR, guesses=[[0.02], [0.8], [1.0]])
     np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
     assert set(found.basins[0].guesses) == {1, 2}
-
-
-@pytest.mark.parametrize(
-    ("given", "said"), [([0.1, 0.2], "shape"), ([[0.1], [-0.2]], "guess 1"), (0, "guesses")]
-)
-def test_guesses_that_cannot_be(given, said):
-    with pytest.raises(InputError, match=said):
-        many_starts(MODEL, long_run(), ROTOR, guesses=given)
 
 
 def test_guesses_are_drawn_where_they_can_be():

@@ -115,9 +115,6 @@ BETWEEN = Recording("between", {"q": Channel([0.0, 0.02, 0.035, 0.06], np.zeros(
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"drive": "wind"}, "unknown drive"),
-        ({"driven": ["elbow"]}, "elbow"),
-        ({"recordings": []}, "expected one Recording"),
         ({"recordings": BETWEEN, "grid": GRID}, "at 0.035 s after its start, between instants"),
         ({"model": Setup.of(GUESS, delay=0.01)}, r"delays, .* ctrl 0.01 s, so Channel.c.t . 0.01"),
     ],

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rbjax.errors import InputError, UnknownName
 from rbjax.sysid.statistics import combinations, estimates
 from rbjax.sysid.statistics.rank import project_out_others
 
@@ -101,21 +100,6 @@ def test_nothing_moves():
     assert found.rank == 0 and found.hidden == ("a", "b") and found.terms() == ()
     assert found.summary().startswith("0 of 2 are identifiable") and found.gap == (0.0, 0.0)
     assert found.free_directions.tolist() == [[1.0, 0.0], [0.0, 1.0]]
-
-
-def test_bad_arguments():
-    J = RNG.normal(size=(5, 2))
-    with pytest.raises(InputError, match=r"J has shape \(5, 2\) and there are 3 names"):
-        combinations(J, "abc")
-    with pytest.raises(InputError, match="names repeat: a"):
-        combinations(J, "aa")
-    with pytest.raises(InputError, match="tolerance is 0"):
-        combinations(J, "ab", tolerance=0.0)
-    with pytest.raises(UnknownName, match="parameter 'z'"):
-        combinations(J, "ab", first=["z"])
-    J[3, 1] = np.nan
-    with pytest.raises(InputError, match=r"J\[3\] of b is nan"):
-        combinations(J, "ab")
 
 
 def test_what_other_numbers_could_make_is_not_seen():

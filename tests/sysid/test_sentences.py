@@ -22,15 +22,6 @@ def test_the_sentence_of_a_model_that_holds():
     assert says.summary().endswith("failed: " + "; ".join(says.failed))
 
 
-def test_the_place_of_a_wrong_noise():
-    W, tau = RNG.normal(size=(5, 2, 1)), RNG.normal(size=(5, 2))
-    noise = np.ones((5, 2))
-    noise[3, 1] = -2.0
-    for wrong, place in ((noise, r"noise\[3, 1\] is -2"), (-1.0, "noise is -1")):
-        with pytest.raises(rb.InputError, match=place):
-            sysid.torque.regress(W, tau, ["a"], noise=wrong)
-
-
 def test_a_refusal_begins_with_the_function_and_the_argument():
     J = np.ones((4, 1))
     swing = sysid.Recording("swing", {"q": sysid.Channel(0.1 * np.arange(9), np.zeros(9))})

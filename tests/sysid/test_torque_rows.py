@@ -119,15 +119,3 @@ def test_fewer_columns():
         r.only(["nose.m"])
     with pytest.raises(InputError, match="no equation"):
         r.segment(50.0, 60.0)
-
-
-def test_what_is_refused():
-    made = run("still")
-    with pytest.raises(InputError, match="hinges and slides only"):
-        sysid.torque.torque_rows(rb.load("free_body"), made, 5.0)
-    with pytest.raises(InputError, match="the filters disturb"):
-        sysid.torque.torque_rows(MODEL, made.segment(0.0, 0.3), 1.0)
-    with pytest.raises(InputError, match="different names"):
-        sysid.torque.regress_with_zeros([rows("still"), rows("still")])
-    with pytest.raises(InputError, match="spread"):
-        sysid.torque.regress_with_zeros([rows("still")], spread=0.0)

@@ -126,21 +126,6 @@ def test_a_setup_has_leaves_beside_its_model():
 
 
 @pytest.mark.parametrize(
-    ("u", "error"),
-    [
-        ({}, r"unknowns is \{\}, expected a dict"),
-        ({"a": Unknown("bodies.mas")}, "bodies.mass"),
-        ({"a": Unknown("bodies.mass", 99)}, "out of bounds"),
-        ({"a": Inertia("handle")}, "handle"),
-        ({"a": Unknown("joints.armature", 0, bounds=(5.0, 6.0))}, "expected a first guess within"),
-    ],
-)
-def test_bad_unknowns_are_named(u, error):
-    with pytest.raises((rb.InputError, rb.UnknownName), match=error):
-        Unknowns.of("identify", u, MODEL)
-
-
-@pytest.mark.parametrize(
     ("bounds", "low", "high"),
     [
         ((0.0, np.inf), 0.0, np.inf),
