@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 LISTED = 40
 
 
-def listed(names: Sequence[str], shown: int) -> str:
+def listed(names: Sequence[str], shown: int = 4) -> str:
     """Format names for a message: the first few, and the number of the rest."""
     more = f" and {len(names) - shown} more" if len(names) > shown else ""
     return ", ".join(names[:shown]) + more

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import spatial
+from rbjax.arguments import instance
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import SHAPES, checked, takes
@@ -134,11 +135,8 @@ def inertia_matrix(body: Body) -> jax.Array:
         >>> inertia_matrix(ball.body).diagonal().tolist()
         [2.0, 2.0, 2.0, 5.0, 5.0, 5.0]
     """
-    if not isinstance(body, Body):
-        raise InputError(
-            f"inertia_matrix: body is {type(body).__name__}, expected Body; rigid_body(...).body "
-            "makes one of mass properties"
-        )
+    public = "Body; rigid_body(...).body makes one of mass properties"
+    instance("inertia_matrix", "body", body, Body, public)
     matrix = spatial.spatial_inertia(body.mass, body.com, body.inertia)
     return matrix if body.added_mass is None else matrix + body.added_mass
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance
 from rbjax.body.body import unbatched
 from rbjax.errors import InputError
 from rbjax.lanes import matmat, matvec
@@ -179,8 +180,7 @@ def inverse(frame: MovingFrame) -> MovingFrame:
 
 
 def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
-    if not isinstance(frame, MovingFrame):
-        raise InputError(f"{where}: {name} is {type(frame).__name__}, expected MovingFrame")
+    instance(where, name, frame, MovingFrame, "MovingFrame")
     return frame
 
 

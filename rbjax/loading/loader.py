@@ -35,8 +35,8 @@ from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
 from rbjax.loading.mjcf.contacts import (
+    check_finite,
     check_geoms,
-    check_rows,
     closed_pairs,
     contacts_left_out,
     kinds_of,
@@ -60,7 +60,6 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
-_SHOWN = 8  # names listed before "and N more"
 _MIXED = "solref of mixed signs, replaced by MuJoCo with (0.02, 1)"
 _ACTIVE = "parameters that no passive joint can have, used as in the file"
 
@@ -141,7 +140,7 @@ def load(
     mixed: tuple[str, ...] = ()
     if contacts:
         check_geoms(compiled)
-        check_rows(compiled)
+        check_finite(compiled)
         dropped += contacts_left_out(compiled)
         mixed = mixed_references(compiled)
     if any(x.startswith(features.COLLISION) for x in lost):  # from a URDF, with the link names
@@ -173,7 +172,7 @@ def load(
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
-            f"{describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
+            f"{describe(source)}: joints that together move no mass: {listed(undone)}; "
             f"the mass matrix is singular and forward dynamics has no finite answer; give one of "
             f"them an armature, or remove one that does what the others do",
             stacklevel=2,

@@ -15,7 +15,6 @@ from rbjax.model.record import Record
 
 #: kind of a geom -> the number of entries of its size that must be positive
 SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
-_SHOWN = 4  # names listed before "and N more"
 
 
 class Geoms(Record):
@@ -125,7 +124,7 @@ def _warn_of_mixed_signs(geoms: Geoms, field: str, given: np.ndarray, touching: 
         names = [" and ".join(geoms.names[i] for i in geoms.pairs[k]) for k in mixed]
     if names:
         warnings.warn(
-            f"Geoms.replace({field}=...): mixed signs of {listed(names, _SHOWN)}; they count as "
+            f"Geoms.replace({field}=...): mixed signs of {listed(names)}; they count as "
             "(0.02, 1). Give (time constant, damping ratio), both above zero, or (-stiffness, "
             "-damping), neither above zero",
             stacklevel=3,

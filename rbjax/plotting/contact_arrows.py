@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.contact import ContactForces
 from rbjax.errors import InputError
 from rbjax.model import WORLD, Model
@@ -31,11 +32,8 @@ def with_arrows(
     """
     if contacts is None:
         return film
-    if not isinstance(contacts, ContactForces):
-        raise InputError(
-            f"{where}: contacts is {type(contacts).__name__}, expected ContactForces, as "
-            "rb.contact.solve(...).contacts"
-        )
+    public = "ContactForces, as rb.contact.solve(...).contacts"
+    instance(where, "contacts", contacts, ContactForces, public)
     lead = () if ts is None else (len(ts),)
     position = np.asarray(contacts.position, float)
     batched = ts is not None and position.ndim == 4

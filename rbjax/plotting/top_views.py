@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
@@ -264,10 +264,8 @@ def _given(ctrl: Any, t: Any, state: State, k: int) -> Any:
 
 
 def _check(where: str, path: Trajectory, ctrl: Any, model: RobotModel) -> None:
-    if not isinstance(model, RobotModel):
-        raise InputError(f"{where}: model is {type(model).__name__}, expected wheeled.at(...)")
-    if not isinstance(path, Trajectory):
-        raise InputError(f"{where}: trajectory is {type(path).__name__}, expected a Trajectory")
+    instance(where, "model", model, RobotModel, "wheeled.at(...)")
+    instance(where, "trajectory", path, Trajectory, "a Trajectory")
     if path.q.ndim != 2:
         raise InputError(
             f"{where}: trajectory.q has shape {path.q.shape}, expected (T, nq): one motion"

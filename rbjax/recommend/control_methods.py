@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, instance, integer
 from rbjax.control import Problem, methods, solve
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.display import displayed
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.recommend.recommendation import Recommendation, fastest
 
@@ -98,17 +98,13 @@ def control_method(
         >>> r.name, r.candidates[0].solved
         ('ddp', 1.0)
     """
-    if not isinstance(problem, Problem):
-        raise InputError(
-            f"recommend: problem is {type(problem).__name__}, expected an rb.control.Problem"
-        )
+    instance("recommend", "problem", problem, Problem, "an rb.control.Problem")
     integer("recommend", "guesses", guesses, least=1)
     known = methods()
     able = {k: m for k, m in known.items() if m.constraints or not problem.constraints}
     names = tuple(able) if candidates is None else tuple(candidates)
     for name in names:
-        if name not in known:
-            raise UnknownName("method of rb.control", name, known)
+        choice("method of rb.control", name, known)
         if name not in able:
             raise InputError(f"recommend: {name!r} holds no constraints; these do: {list(able)}")
     if not names:

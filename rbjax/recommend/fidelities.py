@@ -21,9 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, instance
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_takes, shape_of
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.progress import progress_line
 from rbjax.recommend.halved_steps import Trial, cost_decides
@@ -118,14 +119,12 @@ def fidelity(
         >>> r.name, r.error < 0.05
         ('kinematic', True)
     """
-    if not isinstance(robot, Robot):
-        raise InputError(f"recommend: robot is {type(robot).__name__}, expected a Robot")
+    instance("recommend", "robot", robot, Robot, "a Robot")
     times = {"dt": dt} if horizon is None else {"dt": dt, "horizon": horizon}
     check_request(accuracy, **times)
     names = [x for x in fidelities() if x not in ON_REQUEST] if among is None else list(among)
     for name in names:
-        if name not in fidelities():
-            raise UnknownName("fidelity", name, fidelities())
+        choice("fidelity", name, fidelities())
     names, why_not = _possible(robot, names)
     made = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
     with jax.enable_x64(True):

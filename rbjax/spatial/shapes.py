@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import check_positive, checked, entries, stacked, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
@@ -340,8 +341,7 @@ def hole(part: MassProperties) -> MassProperties:
         >>> float(hole(sphere(1.0, mass=5.0)).mass)
         -5.0
     """
-    if not isinstance(part, MassProperties):
-        raise InputError(f"hole: part is {type(part).__name__}, expected MassProperties")
+    instance("hole", "part", part, MassProperties, "MassProperties")
     return MassProperties(-part.mass, part.com, -part.inertia)
 
 

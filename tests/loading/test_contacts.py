@@ -113,9 +113,9 @@ def two_balls() -> mujoco.MjModel:
     ("field", "index", "value", "message"),
     [
         ("geom_size", (1, 0), 0.0, r"geom 'ball': the size of the sphere is \[0.0\], expected"),
-        ("geom_friction", (0, 1), np.nan, "geom 'ground': friction has nan, expected finite"),
-        ("geom_solref", (1, 0), np.inf, "geom 'ball': solref has inf, expected finite"),
-        ("pair_friction", (0, 3), np.nan, "pair of 'ground' and 'ball': friction has nan"),
+        ("geom_friction", (0, 1), np.nan, "geoms .ground.: friction has nan, expected finite"),
+        ("geom_solref", (1, 0), np.inf, "geoms .ball.: solref has inf, expected finite"),
+        ("pair_friction", (0, 3), np.nan, "contact pairs .ground and ball.: friction has nan"),
     ],
 )
 def test_geoms_that_are_wrong(field: str, index: tuple, value: float, message: str) -> None:
@@ -149,11 +149,11 @@ ROPES = """<mujoco><worldbody><body><joint name="a" range="0 1" frictionloss="1"
 @pytest.mark.parametrize(
     ("field", "message"),
     [
-        ("jnt_margin", "joint 'a': margin has nan"),
-        ("dof_solimp", "joint 'a': solimp of the friction has nan"),
-        ("tendon_margin", "tendon 'belt': margin has nan"),
-        ("tendon_solref_fri", "tendon 'belt': solref_fri has nan"),
-        ("eq_solref", "equality 'gear': solref has nan"),
+        ("jnt_margin", "joint limits .a.: margin has nan"),
+        ("dof_solimp", "joint friction loss .a.: solimp has nan"),
+        ("tendon_margin", "tendon limits .belt.: margin has nan"),
+        ("tendon_solref_fri", "tendon friction loss .belt.: solref_fri has nan"),
+        ("eq_solref", "equalities .gear.: solref has nan"),
     ],
 )
 def test_rows_that_are_wrong(field: str, message: str) -> None:

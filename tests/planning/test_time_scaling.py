@@ -183,8 +183,8 @@ def test_derivatives_padding_and_failure() -> None:
     ("call", "words"),
     [
         (lambda p: time_scaling(cart().robot, p, Limits(1.0)), ["Robot", "kinematical"]),
-        (lambda p: time_scaling(cart(), None, Limits(1.0)), ["NoneType", "Path"]),
-        (lambda p: time_scaling(cart(), p, 1.0), ["float", "Limits"]),
+        (lambda p: time_scaling(cart(), None, Limits(1.0)), ["is None", "Path"]),
+        (lambda p: time_scaling(cart(), p, 1.0), ["1.0", "Limits"]),
         (lambda p: time_scaling(cart(), p, Limits([1.0] * 3)), ["(3,)", "(2,)"]),
         (lambda p: Limits(0.0), ["torque", "above zero"]),
         (lambda p: Limits(np.inf), ["torque", "inf"]),

@@ -100,7 +100,7 @@ def test_a_page_has_the_arrows_of_each_frame(tmp_path) -> None:
 def test_bad_contacts() -> None:
     model = ball()
     ax = matplotlib.figure.Figure().add_subplot()
-    with pytest.raises(rb.InputError, match="draw: contacts is int, expected ContactForces"):
+    with pytest.raises(rb.InputError, match="draw: contacts is 3, expected ContactForces"):
         rb.plotting.draw(model, model.default_state(), ax=ax, contacts=3)
     with pytest.raises(rb.InputError, match=r"contacts.position has shape \(4, 1, 3\)"):
         rb.plotting.draw(model, model.default_state(), ax=ax, contacts=forces(1.0, lead=(4,)))

@@ -110,7 +110,7 @@ def test_what_no_robot_has_is_refused():
 
     with pytest.raises(rb.InputError, match="parameters are traced"):
         jax.eval_shape(traced, 0.1)
-    with pytest.raises(rb.InputError, match="motor is float"):
+    with pytest.raises(rb.InputError, match=r"motor is 2\.0"):
         Robot.of(Body(1.0, 1.0), wheels, [Drive((0,), 2.0)])
     with pytest.raises(rb.InputError, match=r"Drive\(wheels=...\): got list"):
         Drive([0, 1])

@@ -212,9 +212,9 @@ def test_a_gradient_on_the_path_is_finite() -> None:
     "call, message",
     [
         (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), 1.0, 0.0), "lookahead is 0.0"),
-        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), 1.0, -1.0), "above 0"),
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), 1.0, -1.0), "above zero"),
         (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), np.nan, 1.0), "speed is nan"),
-        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), "fast", 1.0), "speed is str"),
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), "fast", 1.0), "speed is .fast."),
         (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 0.0), "wheelbase is 0.0"),
         (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 1.0, gain=np.nan), "gain is nan"),
         (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 1.0, soft=-1.0), "soft is -1.0"),

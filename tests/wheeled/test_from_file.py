@@ -460,7 +460,7 @@ BENT = {**POSE, "left_knee": -0.5}
         (UPKIE, {**WHEELS, "rollers": 0.7}, InputError, ["rollers is 0.7, expected a mapping"]),
         (UPKIE, {**WHEELS, "shafts": "left"}, InputError, ["shafts is 'left', expected a mapping"]),
         (UPKIE, {**WHEELS, "drives": 2}, InputError, ["drives is 2", "drives="]),
-        (UPKIE, {**WHEELS, "drives": {"left_wheel": 2}}, InputError, ["motor is int"]),
+        (UPKIE, {**WHEELS, "drives": {"left_wheel": 2}}, InputError, ["motor is 2"]),
         (UPKIE, {**WHEELS, "tolerance": -1}, InputError, ["tolerance is -1"]),
         (UPKIE, {**WHEELS, "skids": "left_knee"}, InputError, ["skids name 'left_knee'"]),
     ],

@@ -161,7 +161,7 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"robot": "cart"}, "robot is str, expected a Robot"),
+        ({"robot": "cart"}, "robot is 'cart', expected a Robot"),
         ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
         ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
         ({"ctrl": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),

@@ -46,12 +46,16 @@ _TERMS = 5  # number of coefficients of MuJoCo's polynomials
 def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Constraint, ...]:
     """Read the active equalities of supported types, in the file's order."""
     found = []
-    if equalities_are_on(m):
-        for i in np.flatnonzero(m.eq_active0).tolist():
-            if is_loaded(m, i) and _ends_move(m, i):
-                _refuse_nan(m, i)
-                found.append(_soft(m, i) if compliant else _constraint(m, i))
+    for i in (i for i in loaded_equalities(m) if _ends_move(m, i)):
+        _refuse_nan(m, i)
+        found.append(_soft(m, i) if compliant else _constraint(m, i))
     return tuple(found)
+
+
+def loaded_equalities(m: mujoco.MjModel) -> list[int]:
+    """Return the indices of the active equalities of supported types."""
+    active = np.flatnonzero(m.eq_active0).tolist() if equalities_are_on(m) else []
+    return [i for i in active if is_loaded(m, i)]
 
 
 def equalities_are_on(m: mujoco.MjModel) -> bool:

@@ -13,7 +13,6 @@ from rbjax.loading.mjcf.fields import Off, is_at_joint, is_at_tendon, is_on, rea
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons, tendon_armature
 
-_SHOWN = 4  # names listed before "and N more"
 #: prefix of entries about inverted limits
 INVERTED = "joint limits whose lower end is above the upper one"
 #: prefix of entries about the root of a URDF
@@ -44,7 +43,7 @@ def _named(what: str, m: mujoco.MjModel, kind: mujoco.mjtObj, which: Any) -> str
     """Return an entry of `Model.dropped`: `what`, and the names of the elements at the indices
     `which`."""
     names = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in which]
-    return f"{what} ({listed(names, _SHOWN)})"
+    return f"{what} ({listed(names)})"
 
 
 def dropped_features(

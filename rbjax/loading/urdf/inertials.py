@@ -20,7 +20,6 @@ from rbjax.loading.urdf.tree import origin, read_numbers
 
 #: relative excess of a moment over the sum of the other two that counts as rounding in the file
 ROUNDING = 1e-6
-_SHOWN = 8  # names listed before "and N more"
 # At an angle and off the link's origin, so that MuJoCo does not simplify the frame.
 _TURNED = (0.7, 0.1, 0.5, 0.5)
 
@@ -73,7 +72,7 @@ def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str
             odd.setdefault(oddity, []).append(m.body(i).name)
     _refuse_massless_motion(m, name)
     mujoco.mj_setConst(m, data_of(m))
-    return "; ".join(f"{kind}: {listed(links, _SHOWN)}" for kind, links in odd.items())
+    return "; ".join(f"{kind}: {listed(links)}" for kind, links in odd.items())
 
 
 def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,14 +92,14 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
         joints = dict.fromkeys(int(m.dof_jntid[i]) for i in still)
         words = [f"{m.joint(j).name} (link {m.body(m.jnt_bodyid[j]).name})" for j in joints]
         raise ModelError(
-            f"{name}: joints that move no mass: {listed(words, _SHOWN)}; the mass matrix is "
+            f"{name}: joints that move no mass: {listed(words)}; the mass matrix is "
             f"singular and their accelerations are undefined, expected mass on each moving link or "
             f"on one that it carries; give the links an <inertial>, or their joints type='fixed'"
         )
     undone = joints_that_cancel(m, M)
     if undone:
         raise ModelError(
-            f"{name}: joints that together move no mass: {listed(undone, _SHOWN)}; one undoes what "
+            f"{name}: joints that together move no mass: {listed(undone)}; one undoes what "
             f"the others do, the mass matrix is singular and their accelerations are undefined, "
             f"expected mass on the links between them; give these an <inertial>, or one of the "
             f"joints type='fixed'"

@@ -24,7 +24,6 @@ _MANY, _DEEPEST = 20_000, 1000
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
 
-_SHOWN = 4  # names listed before "and N more"
 
 _XACRO = "; run xacro first: `xacro robot.urdf.xacro > robot.urdf`"
 
@@ -207,13 +206,13 @@ def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
             if number(limit, "lower", where) > number(limit, "upper", where):
                 inverted.append(joint.name)
     if inverted:
-        out.append(f"{INVERTED} ({listed(inverted, _SHOWN)})")
+        out.append(f"{INVERTED} ({listed(inverted)})")
     colliding = [link for link, x in tree.links.items() if x.find("collision") is not None]
     if colliding:
-        out.append(f"{COLLISION} of links ({listed(colliding, _SHOWN)})")
+        out.append(f"{COLLISION} of links ({listed(colliding)})")
     meshes = [k for k, x in tree.links.items() if x.find("collision/geometry/mesh") is not None]
     if meshes:
-        out.append(f"{MESHES} of links ({listed(meshes, _SHOWN)})")
+        out.append(f"{MESHES} of links ({listed(meshes)})")
     floats = any(x.kind == "floating" and x.parent == tree.root for x in tree.joints)
     mass = tree.links[tree.root].find("inertial/mass")
     moves = floating_base or floats or tree.root == GROUND

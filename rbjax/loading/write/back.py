@@ -14,6 +14,7 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError
 from rbjax.forces import JointFriction
@@ -62,10 +63,7 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
         [2.0]
     """
     check_model("write_back", model)
-    if not isinstance(source, (str, Path)):
-        raise InputError(
-            f"write_back: source is {type(source).__name__}, expected a path or the text of a file"
-        )
+    instance("write_back", "source", source, (str, Path), "a path or the text of a file")
     given, place = read_text(source)
     urdf = is_urdf(given, str(source))
     floating = urdf and "free" in model.topology.joint_kinds

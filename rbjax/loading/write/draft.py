@@ -14,7 +14,6 @@ from rbjax.errors import listed
 from rbjax.forces import Place, PointSpring
 from rbjax.model import WORLD, Model
 
-_SHOWN = 8  # names listed before "and N more"
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _USUAL = {("pos", "0 0 0"), ("quat", "1 0 0 0"), ("gear", "1")}
 
@@ -82,7 +81,7 @@ class Draft:
     def note(self, what: str, names: Iterable[str] = ()) -> None:
         """Note a difference between the file and the model, once per text."""
         some = list(names)
-        text = f"{what} ({listed(some, _SHOWN)})" if some else what
+        text = f"{what} ({listed(some)})" if some else what
         if text not in self.notes:
             self.notes.append(text)
 

@@ -34,7 +34,6 @@ _DEEPEST = 490  # largest depth of nested bodies; MuJoCo's reader accepts about 
 _LEAST = 2e-15  # kg or kg m^2; MuJoCo rejects a moving mass below 1e-15
 _ROUNDING = 1e-6  # relative excess of a moment over the sum of the other two that is corrected
 _DIAGONAL = 1e-15  # products of inertia below this part of the moments are rounding
-_SHOWN = 8  # names listed before "and N more"
 
 
 def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = False) -> str:
@@ -187,7 +186,7 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
         out.append((mass, moments, axes))
     if wrong:
         raise ModelError(
-            f"write_mjcf: inertials that no rigid body has, in the bodies {listed(wrong, _SHOWN)}; "
+            f"write_mjcf: inertials that no rigid body has, in the bodies {listed(wrong)}; "
             f"MuJoCo refuses them, and expects a mass of at least zero and moments none of which "
             f"exceeds the sum of the other two; correct them, rb.spatial.consistency says what is "
             f"wrong"

@@ -19,7 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_array, real_number
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.planning.maps.footprint import Footprint
@@ -82,9 +82,7 @@ class Controls:
                 "so small that every cost is a multiple of it"
             )
         for name in ("reversal", "steering"):
-            x = getattr(self, name)
-            if not isinstance(x, (int, np.integer)) or x < 0:
-                raise InputError(f"Controls: {name} is {x!r}, expected an integer of at least zero")
+            integer("Controls", name, getattr(self, name), least=0)
         for name, value in (
             ("speeds", speeds), ("turn_rates", rates), ("costs", costs),
             ("sideways", slides.astype(float)),

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.wheeled import RobotModel, TorqueSource
@@ -66,15 +67,11 @@ def check_can_follow(where: str, model: Any, limits: Any) -> None:
     The robot must roll and have inertia. Its motors must be torque sources, with at least as many
     drives as free velocities. Its steerings must have no lag and a finite rate limit.
     """
-    if not isinstance(model, Rolling):
-        raise InputError(
-            f"{where}: model is {type(model).__name__}, expected a robot that rolls and has "
-            'inertia, as rbjax.wheeled.at(robot, "kinematical") gives it'
-        )
-    if not isinstance(limits, Limits):
-        raise InputError(
-            f"{where}: limits is {type(limits).__name__}, expected rbjax.planning.Limits"
-        )
+    public = (
+        'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "kinematical") gives it'
+    )
+    instance(where, "model", model, Rolling, public)
+    instance(where, "limits", limits, Limits, "rbjax.planning.Limits")
     robot = model.robot
     drives, nv = len(robot.drives), model.nv
     if jnp.shape(limits.torque) not in ((), (drives,)):
@@ -88,11 +85,8 @@ def check_can_follow(where: str, model: Any, limits: Any) -> None:
             "least as many drives, or a path has no torques"
         )
     for j, drive in enumerate(robot.drives):
-        if not isinstance(drive.motor, TorqueSource):
-            raise InputError(
-                f"{where}: the motor of drives[{j}] is {type(drive.motor).__name__}, expected "
-                "TorqueSource: the controls are torques"
-            )
+        public = "TorqueSource: the controls are torques"
+        instance(where, f"the motor of drives[{j}]", drive.motor, TorqueSource, public)
     for j, steering in enumerate(robot.steerings):
         if steering.lag is not None:
             raise InputError(

@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer
+from rbjax.arguments import instance, integer
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import largest, smallest
@@ -166,10 +166,7 @@ def refine(
     if (field is None) != (footprint is None):
         raise InputError("refine: got only one of field and footprint, expected both or none")
     for name, x, kind in (("field", field, DistanceField), ("footprint", footprint, Footprint)):
-        if not isinstance(x, kind | None):
-            raise InputError(
-                f"refine: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
-            )
+        instance("refine", name, x, kind | None, f"rb.planning.{kind.__name__}")
     counts = {"intervals": intervals, "iterations": iterations, "parts": parts}
     for name, n in counts.items():
         integer("refine", name, n, least=1)

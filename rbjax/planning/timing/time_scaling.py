@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes import safe_sqrt
@@ -92,8 +93,7 @@ def time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
 
 def check_path(where: str, path: Any) -> None:
     """Raise `InputError` unless the argument is one path."""
-    if not isinstance(path, Path):
-        raise InputError(f"{where}: path is {type(path).__name__}, expected rbjax.planning.Path")
+    instance(where, "path", path, Path, "rbjax.planning.Path")
     if path.start.ndim != 1 or not path.steps.shape[0]:
         raise InputError(
             f"{where}: path.steps has shape {path.steps.shape}, expected (n, 3) with n of at "

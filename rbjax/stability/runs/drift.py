@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rbjax.arguments import integer, real_array, real_number
+from rbjax.arguments import instance, integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.dynamics import (
     center_of_mass,
@@ -172,10 +172,7 @@ def resolve_system(
                 f"({system.nq},) and ({system.nv},)"
             )
         return *make_term(system, y0, solver), system
-    if not isinstance(system, diffrax.AbstractTerm):
-        raise InputError(
-            f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
-        )
+    instance(where, "system", system, diffrax.AbstractTerm, "a Model or a term of diffrax")
     return system, y0, args
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_array
+from rbjax.arguments import instance, real_array
 from rbjax.constraints import residual
 from rbjax.constraints.equations.soft_weights import with_weights
 from rbjax.display import displayed
@@ -207,10 +207,7 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
         (9, 2)
     """
     check_model("motion_matrices", model)
-    if not isinstance(states, State):
-        raise InputError(
-            f"motion_matrices: states is {type(states).__name__}, expected State(q, v) of arrays"
-        )
+    instance("motion_matrices", "states", states, State, "State(q, v) of arrays")
     real_array("motion_matrices", "states.q", states.q)
     real_array("motion_matrices", "states.v", states.v)
     q, v = jnp.asarray(states.q), jnp.asarray(states.v)

@@ -22,7 +22,7 @@ import diffrax
 import numpy as np
 
 from rbjax import solvers
-from rbjax.arguments import flag, shown
+from rbjax.arguments import flag, integer, shown
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, solver_of
@@ -230,13 +230,6 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
 HIGHEST = 1000
 
 
-def _ordered(name: str, order: Any, least: int = 1) -> None:
-    if not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST:
-        raise InputError(
-            f"{name}: order is {order!r}, expected an integer from {least} to {HIGHEST}"
-        )
-
-
 def adams(order: int, implicit: bool) -> Characteristic:
     """Return Adams-Bashforth, or Adams-Moulton if `implicit`, with the last `order` rates.
 
@@ -257,7 +250,7 @@ def adams(order: int, implicit: bool) -> Characteristic:
         >>> adams(2, implicit=False).error_constant, adams(2, implicit=True).error_constant
         (Fraction(5, 12), Fraction(-1, 12))
     """
-    _ordered("adams", order)
+    integer("adams", "order", order, least=1, most=HIGHEST)
     implicit = flag("adams", "implicit", implicit)
     steps = max(order - 1, 1) if implicit else order
     last = steps if implicit else steps - 1
@@ -291,7 +284,7 @@ def backward_differentiation(order: int) -> Characteristic:
         >>> bool(abs(backward_differentiation(7).spurious_roots[0]) > 1.02)
         True
     """
-    _ordered("backward_differentiation", order)
+    integer("backward_differentiation", "order", order, least=1, most=HIGHEST)
     rho, difference = poly([]), poly([1])
     for j in range(1, order + 1):
         difference = multiply(difference, poly([-1, 1]))
@@ -317,7 +310,7 @@ def pece(order: int) -> Characteristic:
         >>> pece(2).by_power[2]  # h^2 lambda^2 y_n / 2: Heun's method
         (Fraction(-1, 2),)
     """
-    _ordered("pece", order, 2)
+    integer("pece", "order", order, least=2, most=HIGHEST)
     corrector, predictor = adams(order, implicit=True), adams(order - 1, implicit=False)
     k = corrector.steps
     shift = poly([0] * (k - predictor.steps) + [1])

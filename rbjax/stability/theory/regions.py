@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_array, shown
+from rbjax.arguments import instance, real_array
 from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Characteristic
 from rbjax.stability.theory.polynomials import (
@@ -232,22 +232,15 @@ def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
 
 
 def _check(method: Any) -> None:
-    if not isinstance(method, (StabilityFunction, Characteristic)):
-        raise InputError(
-            f"regions: method is {type(method).__name__}, expected a StabilityFunction or a "
-            "Characteristic: rb.stability.linear_analysis(solver).method"
-        )
+    public = "a StabilityFunction or a Characteristic: rb.stability.linear_analysis(solver).method"
+    instance("regions", "method", method, (StabilityFunction, Characteristic), public)
 
 
 def _simplest(method: Method) -> Method:
     """Return the stability function of a one-step polynomial; return other methods unchanged."""
+    _check(method)
     if isinstance(method, StabilityFunction):
         return method
-    if not isinstance(method, Characteristic):
-        raise InputError(
-            f"regions: method is {shown(method)}, expected a StabilityFunction or a "
-            "Characteristic: stability_function(solver) or characteristic(solver)"
-        )
     if method.steps == 1:
         padded = [p + (Fraction(0),) * (2 - len(p)) for p in method.by_power]
         return StabilityFunction(poly(-p[0] for p in padded), poly(p[1] for p in padded))

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.errors import InputError, UnsupportedFeature, listed
 from rbjax.loading.at_rest import at_rest
 from rbjax.wheeled.files.drives import drives_of
@@ -27,7 +28,6 @@ from rbjax.wheeled.files.wheels import FileWheel, LeftOut, file_wheels
 from rbjax.wheeled.robot.robot import Body, Robot, Steering, Wheel
 
 #: the number of approximations that a message lists
-_SHOWN = 12
 #: smaller lengths, m, and angles, rad, are rounding errors of the file's frames
 _ROUNDING = 1e-12
 
@@ -143,7 +143,7 @@ def from_file(
     )
     _check_shafts(robot)
     if out.found:
-        text = f"from_file: left out of the robot: {listed(out.found, _SHOWN)}"
+        text = f"from_file: left out of the robot: {listed(out.found)}"
         if strict:
             raise UnsupportedFeature(f"{text}. Take strict=False to go without.")
         warnings.warn(text, stacklevel=2)
@@ -245,8 +245,7 @@ def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, 
 
 
 def _mapping(what: str, given: Any) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
-        raise InputError(f"from_file: {what} is {given!r}, expected a mapping by names or patterns")
+    instance("from_file", what, given, Mapping, "a mapping by names or patterns")
     return given
 
 

@@ -37,7 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, real_number
+from rbjax.arguments import choice, instance, real_number
 from rbjax.constraints import Gear, JointPolynomial
 from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.loading.write.draft import Draft, text
@@ -144,8 +144,7 @@ def write_mjcf(
 
 
 def _check(robot: Any, wheel: str, **positive: Any) -> None:
-    if not isinstance(robot, Robot):
-        raise InputError(f"wheeled.write_mjcf: robot is {type(robot).__name__}, expected a Robot")
+    instance("wheeled.write_mjcf", "robot", robot, Robot, "a Robot")
     choice("shape of a wheel", wheel, SHAPES)
     for name, x in positive.items():
         real_number("wheeled.write_mjcf", name, x, above=0.0)

@@ -234,8 +234,7 @@ def odometry(
         2.0
     """
     _check_robot("odometry", robot, steering)
-    if slip is not None and not isinstance(slip, HeadingSlip):
-        raise InputError(f"odometry: slip is {type(slip).__name__}, expected a HeadingSlip or None")
+    instance("odometry", "slip", slip, HeadingSlip | None, "a HeadingSlip or None")
     (count,) = shape_of("odometry", "t", t)[:1] or (0,)
     t = _times("odometry", t, rising=slip is not None)
     angles = check_array("odometry", "angles", angles, (count, len(robot.drives)))

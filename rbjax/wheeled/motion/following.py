@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import instance, real_number
 from rbjax.compiling import compiled
 from rbjax.control.linear.tracking import regulator_along
 from rbjax.display import displayed
@@ -138,10 +138,9 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
     """Convert a number to the dtype. Raise `InputError` if it is known and not above the bound."""
-    x = check_array(where, name, value, ())
-    if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
-        raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
-    return x.astype(dtype)
+    limit = {} if above is None else {"above": above}
+    real_number(where, name, value, traced=True, finite=False, **limit)
+    return jnp.asarray(value, dtype)
 
 
 def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, real_number
+from rbjax.arguments import choice, instance, real_number
 from rbjax.display import Display, array_text, host, plural, value_text
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
@@ -157,12 +157,10 @@ class Drive(Record):
                 f"Drive: got {len(self.wheels)} wheels and a split of shape "
                 f"{jnp.shape(self.split)}, expected one share for each of at least one wheel"
             )
-        if not isinstance(self.motor, Motor):
-            raise InputError(
-                f"Drive: motor is {type(self.motor).__name__}, expected "
-                "rbjax.wheeled.TorqueSource(), SpeedServo(gain) or DCMotor(resistance, "
-                "torque_constant)"
-            )
+        public = (
+            "rbjax.wheeled.TorqueSource(), SpeedServo(gain) or DCMotor(resistance, torque_constant)"
+        )
+        instance("Drive", "motor", self.motor, Motor, public)
 
 
 class Steering(Record):
