@@ -21,7 +21,17 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.checks import data_of
-from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, Trn, Wrap, is_off, names_of, reflected
+from rbjax.loading.mjcf.fields import (
+    Bias,
+    Dyn,
+    Gain,
+    Trn,
+    Wrap,
+    is_off,
+    matrix_of,
+    names_of,
+    reflected,
+)
 from rbjax.loading.mjcf.fields import reason_left_out as left_out_of
 from rbjax.loading.sources import compile_model
 
@@ -308,9 +318,7 @@ def _extents(
     along the axis; for a mesh the ends of its rim. Return None for a plane or a height field."""
     origin, turn = frame
     place = origin + turn @ m.geom_pos[g]
-    own = np.empty(9)
-    mujoco.mju_quat2Mat(own, m.geom_quat[g])
-    turn = turn @ own.reshape(3, 3)
+    turn = turn @ matrix_of(m.geom_quat[g])
     away = place - anchor
     if m.geom_type[g] == int(_GEOM.mjGEOM_MESH):
         mesh = int(m.geom_dataid[g])

@@ -13,6 +13,7 @@ import numpy as np
 from rbjax.arguments import choice, real_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.loader import load
+from rbjax.loading.mjcf.fields import matrix_of
 from rbjax.loading.sources import spec_of
 from rbjax.loading.write.mjcf import write_mjcf
 from rbjax.model import Model
@@ -263,7 +264,7 @@ def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:
     if kind == "free":
         body.pos, body.quat = q[:3], turn
         return
-    R = _matrix(turn)
+    R = matrix_of(turn)
     shift = shift + np.asarray(joint.pos) - R @ np.asarray(joint.pos)
     for other in body.joints[: [x.name for x in body.joints].index(joint.name)]:
         if other.type == mujoco.mjtJoint.mjJNT_BALL and (turn != identity).any():
@@ -274,12 +275,6 @@ def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:
         other.pos = R.T @ (np.asarray(other.pos) - shift)
         other.axis = R.T @ np.asarray(other.axis)
     old = np.array(body.quat, float)
-    body.pos = np.asarray(body.pos) + _matrix(old) @ shift
+    body.pos = np.asarray(body.pos) + matrix_of(old) @ shift
     mujoco.mju_mulQuat(turn, old, turn.copy())
     body.quat = turn
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    out = np.empty(9)
-    mujoco.mju_quat2Mat(out, quat)
-    return out.reshape(3, 3)

@@ -42,7 +42,7 @@ from rbjax.loading.mjcf.contacts import (
     kinds_of,
     mixed_references,
 )
-from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, names_of, reflected
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, matrix_of, names_of, reflected
 from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
@@ -222,10 +222,8 @@ def from_compiled(
         keyframe_names=names_of(m, obj.mjOBJ_KEY, m.nkey),
     )
     frames = [inertial_frame(m, b) for b in range(m.nbody)]
-    centre, turn = np.array([p for p, _ in frames]), np.empty((m.nbody, 9))
-    for row, (_, quat) in zip(turn, frames, strict=True):
-        mujoco.mju_quat2Mat(row, quat)
-    turn = turn.reshape(-1, 3, 3)
+    centre = np.array([p for p, _ in frames])
+    turn = np.array([matrix_of(quat) for _, quat in frames])
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
     armature, damping, _ = reflected(m)

@@ -26,6 +26,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError
+from rbjax.loading.mjcf.fields import quaternion_of
 
 Array = np.ndarray
 _PARALLEL = 1e-14  # square of the sine of an angle that MuJoCo takes as zero
@@ -278,7 +279,4 @@ def _orientation(tangent: Array, normal: Array) -> Array:
         # for an angle beyond a right angle MuJoCo's rotation is another one, about an axis with z
         quat = np.array([1 + x, 0, -z, y] if x > 0 else [y, z, 0, 1 - x])
         return quat / np.linalg.norm(quat)
-    quat = np.empty(4)
-    axes = np.stack([tangent, normal, np.cross(tangent, normal)], -1)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
-    return quat
+    return quaternion_of(np.stack([tangent, normal, np.cross(tangent, normal)], -1))

@@ -18,6 +18,20 @@ Off = mujoco.mjtDisableBit
 ALIGNED = np.array([1.0, 0.0, 0.0, 0.0])
 
 
+def matrix_of(quat: Any) -> np.ndarray:
+    """Return the rotation matrix of a quaternion."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, np.asarray(quat, np.float64))
+    return flat.reshape(3, 3)
+
+
+def quaternion_of(R: Any) -> np.ndarray:
+    """Return the quaternion of a rotation matrix."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.asarray(R, np.float64).ravel())
+    return quat
+
+
 def members(enum: Any) -> SimpleNamespace:
     """Return the members of an enumeration as integers, without their prefix."""
     return SimpleNamespace(**{n.split("_")[1]: int(x) for n, x in enum.__members__.items()})

@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import ModelError, listed
 from rbjax.loading.checks import data_of, joints_that_cancel, mass_matrix
+from rbjax.loading.mjcf.fields import matrix_of, quaternion_of
 from rbjax.loading.urdf.tree import origin, read_numbers
 
 #: relative excess of a moment over the sum of the other two that counts as rounding in the file
@@ -66,7 +67,7 @@ def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str
         own = inertials[m.body(i).name]
         m.body_mass[i], m.body_ipos[i] = own.mass, own.com
         m.body_inertia[i], turn = _principal(own.inertia)
-        mujoco.mju_mat2Quat(m.body_iquat[i], turn.ravel())
+        m.body_iquat[i] = quaternion_of(turn)
         oddity = own.oddity(jointed=m.body_jntnum[i] > 0)
         if oddity and m.body_weldid[i]:
             odd.setdefault(oddity, []).append(m.body(i).name)
@@ -120,8 +121,6 @@ def read_inertial(link: ET.Element, where: str) -> Inertial:
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if quat[0] != 1:
-        flat = np.empty(9)
-        mujoco.mju_quat2Mat(flat, quat)
-        turn = flat.reshape(3, 3)
+        turn = matrix_of(quat)
         inertia = turn @ inertia @ turn.T
     return Inertial(float(mass[0]), com, inertia)

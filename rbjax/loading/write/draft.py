@@ -12,9 +12,9 @@ import numpy as np
 
 from rbjax.errors import listed
 from rbjax.forces import Place, PointSpring
+from rbjax.loading.mjcf.fields import ALIGNED
 from rbjax.model import WORLD, Model
 
-_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _USUAL = {("pos", "0 0 0"), ("quat", "1 0 0 0"), ("gear", "1")}
 
 
@@ -69,7 +69,7 @@ class Draft:
 
     def site(self, place: Place) -> str:
         """Return the name of the site at a place; add the site if there is none."""
-        still = (np.asarray(place.orientation) == _IDENTITY).all()
+        still = (np.asarray(place.orientation) == ALIGNED).all()
         if place.site is not None and still and not np.any(place.position):
             return self.sites[self.model.site(place.site)]
         body, p, quat = place_in_body(self.model, place)

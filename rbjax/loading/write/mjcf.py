@@ -21,6 +21,7 @@ from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.loader import from_compiled
 from rbjax.loading.mjcf.actuators import write_actuators
 from rbjax.loading.mjcf.constraints import write_constraints
+from rbjax.loading.mjcf.fields import ALIGNED, matrix_of, quaternion_of
 from rbjax.loading.mjcf.tendons import write_tendons
 from rbjax.loading.write.contacts import write_geoms, write_pairs, write_solver
 from rbjax.loading.write.differences import differences
@@ -208,12 +209,9 @@ def _bare(model: Model) -> set[int]:
 def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
     """Compute principal moments and axes: the requested axes if they are principal, otherwise the
     principal axes with the smallest rotation."""
-    still = np.array([1.0, 0.0, 0.0, 0.0])
     exact = np.array([[float(text(x)) for x in row] for row in inertia])  # as written in decimals
-    for quat in (still if asked is None else asked, still):
-        flat = np.empty(9)
-        mujoco.mju_quat2Mat(flat, np.asarray(quat, np.float64))
-        turn = flat.reshape(3, 3)
+    for quat in (ALIGNED if asked is None else asked, ALIGNED):
+        turn = matrix_of(quat)
         seen = turn.T @ exact @ turn
         moments = np.diag(seen).copy()
         if np.abs(seen - np.diag(moments)).max() <= _DIAGONAL * np.abs(moments).max():
@@ -223,9 +221,7 @@ def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
     moments, vectors = moments[[*order]], vectors[:, order]
     vectors = vectors * np.where(np.diag(vectors) < 0, -1.0, 1.0)
     vectors[:, 0] *= np.sign(np.linalg.det(vectors))
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, vectors.ravel())
-    return moments, quat
+    return moments, quaternion_of(vectors)
 
 
 def _write_joints(draft: Draft) -> None:

@@ -11,11 +11,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from rbjax import sensors
 from rbjax.forces import Place
+from rbjax.loading.mjcf.fields import quaternion_of
 from rbjax.loading.mjcf.sensors import CLASSES
 from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import WORLD, Frame
@@ -75,10 +75,9 @@ def _site(draft: Draft, frame: Any) -> str:
     if named.site is not None and named.point is None and named.orientation is None:
         return draft.sites[model.site(named.site)]
     body, placed = frame_transform(model, named, np.float64)
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.array([float(x) for x in placed.R]))
+    quat: Any = quaternion_of([float(x) for x in placed.R])
     position: Any = np.array([float(x) for x in placed.p])
-    return draft.site(Place(position, quat, None if body == WORLD else body))  # type: ignore[arg-type]
+    return draft.site(Place(position, quat, None if body == WORLD else body))
 
 
 def _at_site(draft: Draft, sensor: Any) -> dict[str, str]:
@@ -142,8 +141,7 @@ def _camera(draft: Draft, sensor: Any) -> dict[str, str]:
     MuJoCo keeps focal lengths in single precision, but the angle of view in double precision.
     """
     body, placed = frame_transform(draft.model, named_frame(draft.model, sensor.frame), np.float64)
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.array([float(x) for x in placed.R]))
+    quat = quaternion_of([float(x) for x in placed.R])
     name = unique(["camera"], [x.get("name", "") for x in draft.world.iter("camera")])[0]
     size, (fx, fy) = text(np.array(sensor.resolution)), sensor.focal
     if fx == fy:

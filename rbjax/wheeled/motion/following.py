@@ -7,6 +7,7 @@ and steering angles, and `tracking_gains` computes gains for all controls.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -136,10 +137,9 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
     return Commands(stack_lanes(speeds, dtype), stack_lanes(angles, dtype))
 
 
-def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
+def _number(where: str, name: str, value: Any, dtype: Any, above: float = -math.inf) -> jax.Array:
     """Convert a number to the dtype. Raise `InputError` if it is known and not above the bound."""
-    limit = {} if above is None else {"above": above}
-    real_number(where, name, value, traced=True, finite=False, **limit)
+    real_number(where, name, value, traced=True, finite=False, above=above)
     return jnp.asarray(value, dtype)
 
 
@@ -193,7 +193,7 @@ def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
         True
     """
     path, pose = _checked("pure_pursuit", path, pose)
-    speed = _number("pure_pursuit", "speed", speed, path.dtype, None)
+    speed = _number("pure_pursuit", "speed", speed, path.dtype)
     lookahead = _number("pure_pursuit", "lookahead", lookahead, path.dtype, 0.0)
     return _pure_pursuit(path, pose.astype(path.dtype), speed, lookahead)
 
@@ -257,7 +257,7 @@ def stanley(
         True
     """
     path, pose = _checked("stanley", path, pose)
-    v = _number("stanley", "speed", speed, path.dtype, None)
+    v = _number("stanley", "speed", speed, path.dtype)
     if not isinstance(v, jax.core.Tracer) and not np.asarray(v) >= 0:
         raise InputError(
             f"stanley: speed is {speed}, expected at least 0: steering by the front axle is "
