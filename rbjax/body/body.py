@@ -88,9 +88,6 @@ def rigid_body(
     Raises:
         InputError: no body can have this inertia; a force that cannot be called.
 
-    >>> rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body.inertia.diagonal().tolist()
-    [2.0, 2.0, 2.0]
-
     Example:
         >>> from rbjax.body import rigid_body
         >>> from rbjax import spatial

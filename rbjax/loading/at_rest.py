@@ -199,16 +199,10 @@ class AtRest:
 
 
 def at_rest(source: Any, q: Any = None) -> AtRest:
-    """Compute the geometry and masses of a file at its reference configuration or at q.
+    """Compute the geometry and masses of a file at its reference configuration or at q. A URDF gets
+    a floating base.
 
-    Args:
-        source: as for `rbjax.load`; a URDF gets a floating base.
-        q: None for the reference, the name of a keyframe, a mapping from hinges and slides to
-            values, or an array (nq,).
-
-    Raises:
-        ModelError: the source cannot be read.
-        UnknownName, InputError: q is not valid.
+    q: the name of a keyframe, a mapping from hinges and slides to values, or an array (nq,).
     """
     m = compile_model(source, floating_base=None)
     d = data_of(m)

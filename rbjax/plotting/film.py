@@ -159,12 +159,8 @@ def film(
     tracked: str | None = None,
     trace: Sequence[str] = (),
 ) -> Film:
-    """Make a film of configurations q (S, F, nq), with a view that fits them.
-
-    camera: None chooses one by how flat the motion is.
-    follow: whether the view moves with the robot; None: only if the robot moves far.
-    tracked: name of the body that the view follows; None for the middle of the robot.
-    trace: names of bodies whose origins leave a line.
+    """Make a film of configurations q (S, F, nq), with a view that fits them; the arguments are
+    those of `animate`. `tracked` None is the middle of the robot.
     """
     samples, count = q.shape[:2]
     R, p = poses(model, q.reshape(-1, model.nq))

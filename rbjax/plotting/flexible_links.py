@@ -90,17 +90,8 @@ def flexible_links(model: Model) -> list[FlexibleLink]:
 
 
 def station_poses(model: Model, R: Array, p: Array, q: Array) -> tuple[Array, Array]:
-    """Add the stations of the flexible links to the poses of bodies.
-
-    Args:
-        model: one robot.
-        R: (T, nb, 3, 3), rotations of the bodies.
-        p: (T, nb, 3), positions of the bodies, m.
-        q: (T, nq), the configurations.
-
-    Returns:
-        R and p with a row for each station after those of the bodies.
-    """
+    """Append the stations of the flexible links to the rotations R (T, nb, 3, 3) and positions p
+    (T, nb, 3) of the bodies at q (T, nq)."""
     turns, places = [R], [p]
     bodies = model.bodies
     for link in flexible_links(model):
@@ -121,10 +112,7 @@ def station_poses(model: Model, R: Array, p: Array, q: Array) -> tuple[Array, Ar
 def tubes(model: Model, colors: Sequence[Color] | None = None) -> list[Solid]:
     """Make the solids of the flexible links: one between each pair of joined stations.
 
-    Args:
-        model: one robot.
-        colors: red, green, blue of each body; None for a colour of the palette for each link, the
-            same for links in series.
+    colors: of each body; None for a colour of the palette for each series of links.
     """
     first, out = model.nb, []
     series: dict[int, int] = {}

@@ -36,11 +36,8 @@ class Surface:
 def surface(solid: Solid, R: Array, p: Array, *, coarse: bool = False) -> Surface | None:
     """Make the surface of a solid; None if it is flat.
 
-    Args:
-        solid: a solid with its mesh if it has one, or a segment between two bodies.
-        R: (n, 3, 3), rotations of the bodies in a posture in which the solid is convex.
-        p: (n, 3), their positions, m.
-        coarse: whether to keep only about 26 points, for crowds.
+    R, p: (n, 3, 3) and (n, 3), poses of the bodies in which the solid is convex.
+    coarse: whether to keep only about 26 points, for crowds.
     """
     if solid.mesh is not None and not coarse:
         vertices, faces = solid.mesh

@@ -40,15 +40,7 @@ _FINE = 2e-4
 
 
 def write_page(path: Path, film: Film, title: str, *, fps: float, speed: float) -> None:
-    """Write a film as one HTML page.
-
-    Args:
-        path: the file.
-        film: poses, view and forces.
-        title: text at the top.
-        fps: frames per second.
-        speed: seconds of motion per second of the page.
-    """
+    """Write a film as one HTML page. speed: seconds of motion per second of the page."""
     path.write_text(page_text(page_data(film, fps, speed), title))
 
 

@@ -38,11 +38,11 @@ class Consistency(NamedTuple):
         triangle_margin: (...), (A + B - C) / C: 0 for a flat body, 1 at most.
     """
 
-    positive_definite: jax.Array  # mass and principal moments above zero
-    triangle: jax.Array  # no principal moment is larger than the sum of the other two
-    realizable: jax.Array  # both conditions hold strictly, as for a body with volume
-    moments: jax.Array  # principal moments (..., 3), ascending
-    triangle_margin: jax.Array  # (A + B - C) / C: 0 for a flat body, 1 at most
+    positive_definite: jax.Array
+    triangle: jax.Array
+    realizable: jax.Array
+    moments: jax.Array
+    triangle_margin: jax.Array
 
 
 @takes(mass="scalar", com="vector", inertia="matrix")

@@ -34,13 +34,8 @@ _ZEROED = (
 
 def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """Return an `MjModel` with only the features that rbjax has, and the names of the disabled
-    ones.
+    ones. A given MjModel is copied, not changed.
 
-    Args:
-        source: as for `rbjax.load`. An MjModel is copied, not changed.
-        floating_base: as in `rbjax.load`.
-
-    Example:
         >>> from rbjax.validation.reference import smooth
         >>> smooth("pendulum")[1]
         ("implicit joint damping in MuJoCo's Euler step",)

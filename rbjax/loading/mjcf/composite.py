@@ -48,13 +48,8 @@ _SITE = ("size", "group", "rgba")
 def add_segments(
     spec: mujoco.MjSpec, first: mujoco._specs.MjsBody, composite: ET.Element, where: str
 ) -> list[str]:
-    """Add the segments of a cable to a spec, and return the names of their bodies.
-
-    Args:
-        spec: the spec.
-        first: the body that becomes the first segment. It is empty.
-        composite: the element of the file.
-        where: the source, for error messages.
+    """Add the segments of a cable to a spec, and return the names of their bodies. The empty body
+    `first` becomes the first segment.
     """
     points = _vertices(composite, where)
     lengths, axes = frames(points)
@@ -90,11 +85,8 @@ def add_segments(
 
 
 def frames(points: Array) -> tuple[Array, list[Array]]:
-    """Compute the lengths (n,) and the orientations, quaternions, of the segments of a polygon.
-
-    Args:
-        points: (n + 1, 3) vertices in single precision.
-    """
+    """Compute the lengths (n,) and the orientations, quaternions, of the segments of a polygon with
+    the vertices (n + 1, 3) in single precision."""
     edges = np.diff(points, axis=0).astype(float)  # the difference is rounded, too
     lengths = np.linalg.norm(edges, axis=-1)
     tangents = edges / lengths[:, None]

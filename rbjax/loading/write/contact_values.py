@@ -22,13 +22,9 @@ def write_changed(
     model: Model,
     before: Model,
 ) -> None:
-    """Write the values of `model.solver` and `model.geoms` that differ from the file.
+    """Write the values of `model.solver` and `model.geoms` that differ from those of `before`.
 
-    Args:
-        root: the file.
-        sections: the elements of the world and of the bodies, in order.
-        joints: the elements of the joints, in order.
-        model, before: the model, and the one of the file, with NumPy leaves.
+    sections, joints: the elements of the world and bodies, and of the joints, in order.
     """
     own: Any = model.solver
     was: Any = before.solver
@@ -53,11 +49,7 @@ def write_changed(
 def _write_joint(
     joint: ET.Element, own: Any, was: Any, index: int, dof: int, *, friction: bool
 ) -> None:
-    """Write the attributes of one joint whose values differ from the file.
-
-    own, was: the parameters of the model and of the file. friction: whether to write the friction
-        loss.
-    """
+    """Write the attributes of one joint whose values in `own` and `was` differ."""
     for leaves, at in ((JOINT_LEAVES, index), (DOF_LEAVES, dof)):
         for key, (name, _) in leaves.items():
             new = getattr(own, name)[at]

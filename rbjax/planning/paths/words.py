@@ -178,13 +178,10 @@ def candidates(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute all candidate paths to a goal (x, y, phi) (...), for unit radius.
 
-    Args:
-        words: `DUBINS` or `REEDS_SHEPP`.
-        wrap: `forwards` for forward driving only, or `either_way` for both directions.
+    wrap: `forwards` or `either_way`.
 
-    Returns:
-        lengths (..., n, 5), signed, 0 beyond the end of a word; turns (n, 5), 1 left, 0 straight,
-        -1 right; exists (..., n).
+    Return lengths (..., n, 5), signed, 0 beyond the end of a word; turns (n, 5), of `TURN`; and
+    which candidates exist (..., n).
     """
     # the symmetries are an axis: each formula is traced once
     flip, mirror = (jnp.asarray(signs, x.dtype) for signs in SYMMETRIES[wrap is either_way])

@@ -154,19 +154,12 @@ class WaveSearch:
     def admit(
         self, wave: Any, new: Any, cost: np.ndarray, better: Any, tests: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Select the children (m,) of a wave that represent their cells: the first free one of each
-        cell.
+        """Select the first free child of each cell. Return which children (m,) are known to be
+        free, and the indices of the selected ones.
 
-        `tests` (m,) is true for motions to test in the first pass. A second pass tests the rest, if
-        their cells still have no node of the same or lower cost.
-
-        Args:
-            new: the children, with costs `cost` (m,) in rising order.
-            better: (m,), whether the cost is lower than the cell's.
-
-        Returns:
-            free (m,), whether a child was tested and is free; and the indices of the selected
-            children.
+        `cost` (m,) rises. `better` (m,) is whether it is lower than the cell's. The first pass
+        tests the motions of `tests` (m,); the second tests the rest, if their cells still have no
+        node of the same or lower cost.
         """
         free = np.zeros(len(cost), bool)
         kept = np.zeros(0, np.intp)

@@ -44,12 +44,7 @@ def solve(
     low: jax.Array, high: jax.Array, iterations: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """Solve the elastic program. Return d (n,), within the box, and the multipliers (m,) of the
-    rows.
-
-    H: (n, n), positive semidefinite.
-    price: (m,), above zero.
-    low, high: (n,), with low < high.
-    iterations: a fixed number; each one factors one matrix (n, n).
+    rows. Each iteration factors one matrix (n, n).
     """
     n, m = len(c), len(g)
 

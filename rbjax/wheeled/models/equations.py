@@ -111,16 +111,10 @@ def projected_equations(
     torques: Sequence[Lane],
     forces: Sequence[Twist] | None = None,
 ) -> Equations:
-    """Project the equations of motion on velocities nu.
+    """Project the equations of motion on velocities nu, with full velocities w = velocities(nu).
 
-    Args:
-        context: the coordinates and the rates of steerings.
-        w: the full velocities.
-        velocities: the map from nu to full velocities.
-        nu: the velocities.
-        torques: the torque on each shaft, N m.
-        forces: the wrench on each body and fork, in its own axes about its origin; None for
-            gravity.
+    torques: on each shaft, N m. forces: the wrench on each body and fork, in its own axes about its
+        origin; None for gravity.
     """
     n = context.n
     forces = gravity_wrenches(context) if forces is None else forces
