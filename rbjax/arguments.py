@@ -138,6 +138,17 @@ def real_number(
     return number
 
 
+def check_positive(where: str, **values: Any) -> None:
+    """Raise InputError if an untraced number or array is not above zero. None is accepted."""
+    for name, x in values.items():
+        if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
+            continue
+        numbers = real_array(where, name, x, finite=False)
+        if not (numbers > 0).all():
+            got = shown(numbers.tolist())
+            raise InputError(f"{where}: {name} is {got}, expected a number above zero")
+
+
 def integer(
     where: str,
     name: str,

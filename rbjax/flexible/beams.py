@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.errors import InputError
 from rbjax.flexible.cross_section import Section, section
 from rbjax.flexible.elasticity import BeamElasticity
@@ -17,7 +18,7 @@ from rbjax.flexible.linear_elasticity import diagonal_if_known, with_free_base
 from rbjax.flexible.strain import STRAINS, StrainBeam, strain_beam
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.rotations.arguments import check_positive, checked
+from rbjax.rotations.arguments import checked
 
 
 class Beam(Record):

@@ -27,9 +27,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.errors import InputError
 from rbjax.model.record import Record
-from rbjax.rotations.arguments import check_positive, checked
+from rbjax.rotations.arguments import checked
 
 _SYMMETRY = 1e-9  # relative asymmetry of a stiffness that rounding explains
 

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag, integer
+from rbjax.arguments import check_positive, flag, integer
 from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
@@ -214,8 +214,7 @@ def check_frames(where: str, model: Model, goals: Sequence[Goal]) -> None:
 
 def _pair(name: str, value: Any, dtype: Any) -> tuple[jax.Array, jax.Array]:
     x = check_array(WHERE, name, value, (), (2,)).astype(dtype)
-    if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
-        raise InputError(f"{WHERE}: {name} is {value}, expected numbers above zero")
+    check_positive(WHERE, **{name: x})
     return (x, x) if x.ndim == 0 else (x[0], x[1])
 
 

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import (
@@ -215,6 +216,5 @@ def _speeds(speed: Any, n: int, dtype: Any) -> jax.Array:
     x = check_bound(WHERE, "speed", speed)
     if x.shape not in ((), (n,)):
         raise InputError(f"{WHERE}: speed has shape {x.shape}, expected () or ({n},)")
-    if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
-        raise InputError(f"{WHERE}: speed is {speed}, expected numbers above zero")
+    check_positive(WHERE, speed=x)
     return jnp.broadcast_to(x, (n,)).astype(dtype)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.contact import ContactForces
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -16,7 +17,7 @@ from rbjax.plotting import movie_files, offscreen
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import Stage, shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
-from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture
+from rbjax.plotting.movie_files import canvas_of, clock, picture
 from rbjax.plotting.web_page import write_page
 from rbjax.style import INK
 

@@ -128,13 +128,6 @@ def _command(program: str, path: Path, shape: tuple[int, ...], fps: float) -> li
     return [program, "-y", "-loglevel", "error", *given, "-i", "-", *wanted, str(path)]
 
 
-def check_positive(where: str, **given: float) -> None:
-    """Raise `InputError` unless all rates and counts are above zero."""
-    for name, value in given.items():
-        if not value > 0:
-            raise InputError(f"{where}: {name} is {value}, expected more than 0")
-
-
 def schedule(
     where: str, ts: np.ndarray, q: np.ndarray, fps: float, speed: float
 ) -> tuple[int, np.ndarray]:

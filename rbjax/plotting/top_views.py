@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import check_positive, instance, integer
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
@@ -26,7 +26,7 @@ from rbjax.plotting.from_above import (
     reach,
     wheel_forces,
 )
-from rbjax.plotting.movie_files import canvas_of, check_positive, clock, picture, schedule
+from rbjax.plotting.movie_files import canvas_of, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE, STYLE, axes_of
 from rbjax.wheeled.models.robot_model import RobotModel
 

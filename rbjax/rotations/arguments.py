@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import floating_array, real_array
+from rbjax.arguments import check_positive, floating_array
 from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
@@ -98,15 +98,6 @@ def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
     if not isinstance(x, jax.core.Tracer):
         _check_values(where, name, np.asarray(x), kind)
     return x
-
-
-def check_positive(where: str, **values: Any) -> None:
-    """Raise `InputError` if an untraced value is not above zero. None is accepted."""
-    for name, x in values.items():
-        if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
-            continue
-        if (real_array(where, name, x, finite=False) <= 0).any():
-            raise InputError(f"{where}: {name} is {x}, expected more than zero")
 
 
 def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:

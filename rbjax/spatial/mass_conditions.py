@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import checked, takes
@@ -206,8 +207,7 @@ def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -
     if any(isinstance(x, jax.core.Tracer) for x in (*found, *out)):
         return out
     I, m = np.asarray(out.inertia), np.asarray(out.mass)
-    if not (m > 0).all():
-        raise InputError(f"mass is {m.min():g}, expected more than zero")
+    check_positive("check_mass_properties", mass=m)
     scale = np.abs(I).max(initial=0.0)
     skew = np.abs(I - I.swapaxes(-1, -2)).max(initial=0.0)
     if skew > 1e-6 * scale:

@@ -16,8 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import check_positive
 from rbjax.errors import InputError
-from rbjax.rotations.arguments import check_positive, checked, takes
+from rbjax.rotations.arguments import checked, takes
 from rbjax.spatial.mass import MassProperties
 
 

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import check_positive, instance
 from rbjax.errors import InputError
-from rbjax.rotations.arguments import check_positive, checked, entries, stacked, takes
+from rbjax.rotations.arguments import checked, entries, stacked, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
 from rbjax.spatial.mesh_shapes import check_one_of, mesh, points
 

@@ -23,14 +23,14 @@ def planar(degrees=None, **given):
 
 
 SECTIONS = {
-    "radius is 0.0, expected more than zero": lambda: flexible.circle(0.0, **ROUND),
+    "radius is 0.0, expected a number above zero": lambda: flexible.circle(0.0, **ROUND),
     "width is -0.1": lambda: flexible.rectangle(-0.1, 0.1, **ROUND),
     "density is 0.0": lambda: flexible.circle(0.1, E=1e8, nu=0.3, density=0.0),
     "inner is 0.02 and outer 0.01": lambda: flexible.tube(0.01, 0.02, **ROUND),
     "expected a ratio above -1 and up to 1/2": lambda: flexible.circle(
         0.1, E=1e8, nu=0.7, density=1e3
     ),
-    "E[] is nan": lambda: flexible.circle(0.1, E=np.nan, nu=0.3, density=1e3),
+    "E is nan": lambda: flexible.circle(0.1, E=np.nan, nu=0.3, density=1e3),
 }
 BEAMS = {
     "length is 0.0": lambda: round_beam(length=0.0),

@@ -96,14 +96,14 @@ def test_given_properties():
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda: sections.circle(0.0, **STEEL), "radius is 0.0, expected more than zero"),
+        (lambda: sections.circle(0.0, **STEEL), "radius is 0.0, expected a number above zero"),
         (lambda: sections.circle(0.1, E=-1.0, nu=0.3, density=1.0), "E is -1.0"),
         (lambda: sections.circle(0.1, E=1.0, density=1.0), "neither nu nor G"),
         (lambda: sections.circle(0.1, E=1.0, nu=0.3, G=1.0, density=1.0), "expected one of them"),
         (lambda: sections.circle(0.1, E=1.0, nu=0.6, density=1.0), "up to 1/2"),
         (lambda: sections.tube(1.0, 1.0, **STEEL), "expected inner < outer"),
         (lambda: sections.ellipse(1.0, 1.0, **STEEL, shear="timoshenko"), "'cowper'"),
-        (lambda: sections.rectangle(1.0, 1.0, **STEEL, shear=-1.0), "more than zero"),
+        (lambda: sections.rectangle(1.0, 1.0, **STEEL, shear=-1.0), "above zero"),
         (lambda: sections.section([1.0] * 5, 1.0, (0, 0, 0)), "expected \\(6,\\)"),
         (lambda: sections.section([0.0] * 6, 1.0, (0, 0, 0)), "stiffness is zero"),
         (lambda: sections.section([-1.0] * 6, 1.0, (0, 0, 0)), "negative eigenvalue"),

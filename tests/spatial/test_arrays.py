@@ -191,7 +191,7 @@ def test_what_fits_into_an_ellipsoid() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((-1.0, COM, ONE), ["mass is -1", "more than zero"]),
+        ((-1.0, COM, ONE), ["mass is -1", "above zero"]),
         ((1.0, COM, np.diag([1.0, 1, 3])), ["1, 1, 3", "triangle inequality"]),
         ((1.0, COM, np.diag([-1.0, 1, 1])), ["-1, 1, 1", "none below zero"]),
         ((1.0, COM, ONE + skew(COM)), ["transpose", "symmetric"]),

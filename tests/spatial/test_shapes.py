@@ -214,8 +214,8 @@ def test_dimensions_may_be_batches() -> None:
     [
         (lambda: shapes.sphere(1.0), ["neither", "density and mass"]),
         (lambda: shapes.sphere(1.0, density=1.0, mass=1.0), ["both", "density and mass"]),
-        (lambda: shapes.sphere(-1.0, mass=1.0), ["radius is -1.0", "more than zero"]),
-        (lambda: shapes.sphere(0.0, mass=1.0), ["radius is 0.0", "more than zero"]),
+        (lambda: shapes.sphere(-1.0, mass=1.0), ["radius is -1.0", "above zero"]),
+        (lambda: shapes.sphere(0.0, mass=1.0), ["radius is 0.0", "above zero"]),
         (lambda: shapes.box([1.0, 2.0], mass=1.0), ["size", "(2,)", "3"]),
         (lambda: shapes.tube(1.0, 2.0, 1.0, mass=1.0), ["inner", "inner < outer"]),
         (lambda: shapes.combine([]), ["at least one"]),

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import check_positive, instance
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.wheeled import RobotModel, TorqueSource
@@ -50,8 +50,7 @@ class Limits(Record):
                     f"Limits({name}=...): got the shape {jnp.shape(x)}, expected a number"
                     + (" or one a drive" if name == "torque" else "")
                 )
-            if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
-                raise InputError(f"Limits({name}=...): got {x}, expected numbers above zero")
+            check_positive("Limits", **{name: x})
 
     def may_be_infinite(self, name: str) -> bool:
         return name != "torque"
