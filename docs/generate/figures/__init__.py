@@ -63,8 +63,8 @@ def figure(name: str) -> str:
 def renewed(markdown: str) -> str:
     """The text with the present number before each comment.
 
-    >>> renewed("at 1<!-- = gpu.contact.go1.rollout --> M/s")
-    'at 73<!-- = gpu.contact.go1.rollout --> M/s'
+    >>> renewed("orders to 1<!-- = held.orders -->")
+    'orders to 0.15<!-- = held.orders -->'
     """
     return TYPED.sub(lambda found: f"{figure(found[2])}<!-- = {found[2]} -->", markdown)
 

@@ -205,4 +205,28 @@ TABLES = {
         where=lambda row: row.get("sweep") == "stiffness",
         best=min,
     ),
+    "wheel laws": Pivot(
+        ("wheel-contact*",),
+        (C("shape", "wheels"), C("width", "width"), C("dt", "step, s")),
+        "engine",
+        C("distance", "metres from rolling after 4 s, differential drive", 2),
+        where=lambda row: row.get("sweep") == "laws",
+    ),
+    "wheel times": Table(
+        ("wheel-contact*",),
+        (
+            C("title", "robot"),
+            C("engine"),
+            C("integrator"),
+            C("dt", "step, s"),
+            C("time_constant", "time constant, s"),
+            C("distance", "metres from rolling", 2),
+            C("seconds", "ms of computing a second", 2, 1e3),
+        ),
+        where=lambda row: (
+            row.get("sweep", "").startswith("dt")
+            and row["integrator"] in ("rk4", "implicitfast")
+            and row["dt"] in (0.02, 0.002, 0.001)
+        ),
+    ),
 }
