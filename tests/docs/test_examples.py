@@ -20,7 +20,7 @@ ELSEWHERE = {
     "docs/guides/adapters.md": "tests/envs/adapters/test_page.py",
 }
 
-PRINTED = ("docs/howto/", "docs/start/")
+PRINTED = tuple(f"docs/{x}/" for x in ("howto", "start", "theory", "reference", "guides"))
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 
 

@@ -80,3 +80,18 @@ def test_benchmarks_and_pages_that_are_named_exist():
     assert len(benchmarks) > 20 and len(pages) > 20
     missing = [(file, path) for file, path in benchmarks | pages if not (ROOT / path).exists()]
     assert not missing
+
+
+@pytest.mark.parametrize(
+    ("page", "package", "pattern"),
+    [
+        ("from_mujoco", "mujoco", r"\b(mjd?_\w+)"),
+        ("from_mjx", "mujoco.mjx", r"`mjx\.(\w+)"),
+        ("from_pinocchio", "pinocchio", r"`pin\.(\w+)"),
+    ],
+)
+def test_other_libraries_have_the_names_of_the_tables(page, package, pattern):
+    library = pytest.importorskip(package)
+    table = re.findall(r"^\|.*", (ROOT / "docs" / "start" / f"{page}.md").read_text(), re.M)
+    named = set(re.findall(pattern, "\n".join(table)))
+    assert len(named) > 7 and not {x for x in named if not hasattr(library, x)}
