@@ -78,9 +78,9 @@ def validate(
         print(json.dumps(report.to_dict(), indent=1))
     else:
         out.print(report.table())
-        verdict = "[green]within tolerance[/]" if report.ok else "[bold red]out of tolerance[/]"
+        verdict = "[green]within tolerance[/]" if report.success else "[bold red]out of tolerance[/]"
         out.print(f"rbjax is {verdict}.")
-    if not report.ok:
+    if not report.success:
         raise typer.Exit(1)
 
 

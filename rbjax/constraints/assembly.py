@@ -127,13 +127,13 @@ class Assembly(NamedTuple):
 
     Fields:
         state: the state.
-        ok: whether the state satisfies all constraints.
+        success: whether the state satisfies all constraints.
         off: largest absolute residual of values and rates.
         conflicting: names of the rows that are not satisfied.
     """
 
     state: State
-    ok: bool
+    success: bool
     off: float
     conflicting: tuple[str, ...]
 
@@ -155,7 +155,7 @@ def assemble(
         t: time in seconds, for rows that depend on time.
         pinned: names of joints whose coordinates and velocities do not change.
         tolerance: largest allowed residual; 1e-12 in f64 and 1e-5 in f32 if None.
-        throw: raise if no consistent state is found. If False, return `ok` = False instead.
+        throw: raise if no consistent state is found. If False, return `success` = False instead.
 
     Returns:
         `Assembly`. To differentiate a consistent state, apply
@@ -172,7 +172,7 @@ def assemble(
         >>> found = rb.constraints.assemble(
         ...     model.with_constraints(tip), rb.State(jnp.array([0.5, 0.0]), jnp.zeros(2))
         ... )
-        >>> found.ok
+        >>> found.success
         True
     """
     state = check_arrays("assemble", model, {"state": state})["state"]

@@ -57,8 +57,8 @@ def validate(
             row = next((r for r in report.rows if r.quantity == quantity), None)
             error = None if row is None else row.errors.get(column)
             cells.append("-" if error is None else f"{error.worst:.0e}")
-        rows.append((report.model, *cells, "yes" if report.ok else "NO"))
-    passed = sum(report.ok for report in reports)
+        rows.append((report.model, *cells, "yes" if report.success else "NO"))
+    passed = sum(report.success for report in reports)
     text = (
         "Two engines get the same file and the same states. The table has the worst relative error "
         "over 20 random states of poses, velocities, mass matrix, bias forces, forward dynamics, "
@@ -73,5 +73,5 @@ def validate(
         rows=tuple(rows),
         note="Worst relative error against MuJoCo C in f64. Contacts, limits, friction loss and "
         "implicit damping are off on both sides. `rbjax validate FILE` adds MJX in f32 and f64.",
-        code="report = rb.validation.compare('arm7')\nreport.ok, report.table(), report.to_dict()",
+        code="report = rb.validation.compare('arm7')\nreport.success, report.table(), report.to_dict()",
     )

@@ -77,7 +77,7 @@ def compare(
         progress: called with the name of each stage before it starts.
 
     Returns:
-        `Report`: `.table()`, `.to_dict()`, `.ok`, `.switched_off`.
+        `Report`: `.table()`, `.to_dict()`, `.success`, `.switched_off`.
 
     Raises:
         ModelError: the source cannot be read.
@@ -87,7 +87,7 @@ def compare(
 
     Example:
         >>> import rbjax as rb
-        >>> rb.validation.compare("pendulum", states=3, mjx=False, seconds=0.02).ok
+        >>> rb.validation.compare("pendulum", states=3, mjx=False, seconds=0.02).success
         True
     """
     if states < 1:

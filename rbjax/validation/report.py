@@ -63,7 +63,7 @@ class Report:
 
     Example:
         >>> report = Report("pendulum", 1, 1.0, (), ())
-        >>> report.ok
+        >>> report.success
         True
     """
 
@@ -75,7 +75,7 @@ class Report:
     notes: tuple[str, ...] = field(default=())
 
     def _display_(self) -> Display:
-        result = "within tolerances" if self.ok else "out of tolerances"
+        result = "within tolerances" if self.success else "out of tolerances"
         title = f"Report: {self.model!r}, {plural(self.states, 'state')}, {result}"
         rows = [
             (
@@ -87,7 +87,7 @@ class Report:
         return Display(title, rows, ("worst error", *self.columns))
 
     @property
-    def ok(self) -> bool:
+    def success(self) -> bool:
         """True if every rbjax column is within its tolerances."""
         return all(row.passes(column) for row in self.rows for column in row.tolerances)
 
@@ -128,7 +128,7 @@ class Report:
         """Convert the report to a dict, for JSON."""
         return {
             "model": self.model,
-            "ok": self.ok,
+            "success": self.success,
             "states": self.states,
             "seconds": self.seconds,
             "switched_off": list(self.switched_off),

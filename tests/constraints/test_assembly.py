@@ -25,7 +25,7 @@ def test_a_guess_is_assembled_with_a_joint_pinned() -> None:
     model = rb.load("four_bar")
     guess = rb.State(jnp.array([0.4, -0.1, 0.3]), jnp.array([2.0, 0.0, 0.0]))
     found = rc.assemble(model, guess, pinned=["left"])
-    assert found.ok and found.off < 1e-12 and not found.conflicting
+    assert found.success and found.off < 1e-12 and not found.conflicting
     # a parallelogram: both rods alike, the coupler level
     np.testing.assert_allclose(found.state.q, [0.4, -0.4, 0.4], atol=1e-12)
     np.testing.assert_allclose(found.state.v, [2.0, -2.0, 2.0], atol=1e-12)
@@ -37,7 +37,7 @@ def test_what_cannot_be_assembled_is_named() -> None:
     far = rc.Distance(rc.Place.on(), rc.Place.on(body="right", point=[1.0, 0, 0]), jnp.array(5.0))
     model = model.with_constraints(far)
     found = rc.assemble(model, start, throw=False)
-    assert not found.ok and "Distance 1, row 0" in found.conflicting
+    assert not found.success and "Distance 1, row 0" in found.conflicting
     with pytest.raises(rb.InputError, match="Distance 1, row 0"):
         rc.assemble(model, start)
     with pytest.raises(rb.UnknownName, match="rod7"):
@@ -71,7 +71,7 @@ def test_no_joint_is_closed_half_a_turn_off(kind: type, soft: bool, dtype: type)
             q = np.r_[0.1, 0.2, 0.3, np.cos(half), np.sin(half) * np.array(axis)]
             q, v = jnp.asarray(q, dtype), jnp.zeros(6, dtype)
             found = rc.assemble(model, rb.State(q, v))
-            assert found.ok and abs(abs(float(found.state.q[3])) - 1) < 1e-5, (degrees, axis)
+            assert found.success and abs(abs(float(found.state.q[3])) - 1) < 1e-5, (degrees, axis)
 
 
 def test_a_distance_of_zero_is_reported_and_is_a_number() -> None:
@@ -107,7 +107,7 @@ def test_redundant_rows_are_found_in_both_dtypes(hinges: int, dtype: type) -> No
         assert (found.freedoms, len(found.redundant)) == (1, 5 * (hinges - 1))
         state = jax.tree.map(lambda x: x.astype(dtype), model.default_state())
         closed = rc.assemble(model.with_constraints(*joints), state.replace(q=q + 0.01))
-        assert closed.ok
+        assert closed.success
 
 
 def test_mobility_of_nothing() -> None:

@@ -23,7 +23,7 @@ ENDS = {"distance": 0.0, "turn": 0.0, "speed": 0.0, "torque": 1.0, "rate": 0.5, 
         "clearance": 0.3, "free": True, "defect": 1e-4}  # fmt: skip
 
 
-def refined(dtype, change: float, taken: int = 1, ok: bool = True, **off) -> Refined:
+def refined(dtype, change: float, taken: int = 1, success: bool = True, **off) -> Refined:
     """A motion that takes 3 s (1 + change), after 3 s along the path."""
     start = jnp.asarray(3.0, dtype)
     residuals = Residuals(**{
@@ -32,7 +32,7 @@ def refined(dtype, change: float, taken: int = 1, ok: bool = True, **off) -> Ref
     })  # fmt: skip
     ts = jnp.stack([jnp.zeros((), dtype), start * jnp.asarray(1 + change, dtype)])
     motion = Timed(ts, *(jnp.zeros((2, 1), dtype) for _ in range(3)))
-    return Refined(motion, residuals, start, jnp.int32(taken), jnp.asarray(ok))
+    return Refined(motion, residuals, start, jnp.int32(taken), jnp.asarray(success))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -49,7 +49,7 @@ def test_every_status_of_refine(dtype):
             refined(dtype, -0.2, distance=0.01), refined(dtype, -0.2, torque=1.1),
             refined(dtype, -0.2, speed=np.nan), refined(dtype, np.nan),
         ],
-        "infeasible": [refined(dtype, -0.2, ok=False), refined(dtype, 0.5, ok=False)],
+        "infeasible": [refined(dtype, -0.2, success=False), refined(dtype, 0.5, success=False)],
     }  # fmt: skip
     for status, results in cases.items():
         assert [x.status for x in results] == [status] * len(results)

@@ -49,7 +49,7 @@ def test_straight_and_on_the_spot_as_by_hand() -> None:
 
     each = jax.vmap(jax.vmap(motion, (None, 0)), (0, None))
     found = jax.jit(each)(jnp.asarray(steps), jnp.asarray(limits))
-    assert found.ok.all()
+    assert found.success.all()
     for i, way in enumerate(ways):
         acceleration = torque * (MOMENT / ABOUT if way[2] else FORCE / ALONG)
         want = [trapezoid(2.0, acceleration, limit) for limit in limits]
@@ -223,7 +223,7 @@ def test_a_limit_of_the_steering_angle_binds(dtype: type) -> None:
         return time_scaling(vehicle, path, limits)
 
     found = jax.jit(jax.vmap(run))(angles)
-    assert found.ok.tolist() == [True, True, False]
+    assert found.success.tolist() == [True, True, False]
     assert {x.dtype for x in jax.tree.leaves(found.motion)} == {jnp.dtype(dtype)}
 
 

@@ -31,18 +31,18 @@ LIMITED = """
 @pytest.mark.slow  # MJX takes long to compile
 def test_pendulum_beside_mujoco_and_mjx() -> None:
     report = compare("pendulum", states=4, mjx=("f64",), seconds=0.2)
-    assert report.ok
+    assert report.success
     assert tuple(row.quantity for row in report.rows) == QUANTITIES
     assert report.columns == COLUMNS[:3]
     for row in report.rows:
         assert row.errors["MJX f64"].worst < 1e-9, row.quantity
     as_dict = report.to_dict()
-    assert as_dict["ok"] and len(as_dict["rows"]) == len(QUANTITIES)
+    assert as_dict["success"] and len(as_dict["rows"]) == len(QUANTITIES)
 
 
 def test_arm_without_mjx_and_gradient() -> None:
     report = compare("arm7", states=4, mjx=False, seconds=0.1, gradient=False, driver="rolled")
-    assert report.ok
+    assert report.success
     assert report.row("trajectory").errors["rbjax f64"].worst < 1e-12
     assert report.columns == COLUMNS[:2]
 
@@ -65,9 +65,9 @@ def test_a_wrong_answer_is_out_of_tolerance() -> None:
         row = Row("bias", {"rbjax f64": Error(worst, worst)}, {"rbjax f64": 1e-10})
         return Report("robot", 1, 1.0, (row,), ())
 
-    assert report(1e-12).ok
-    assert not report(1e-8).ok
-    assert not report(float("nan")).ok
+    assert report(1e-12).success
+    assert not report(1e-8).success
+    assert not report(float("nan")).success
     assert relative(np.array([[2.0]]), np.array([[1.0]])).worst == 1.0
 
 
@@ -85,7 +85,7 @@ def test_contacts_beside_mujoco() -> None:
     report = compare(DROP, states=6, seconds=0.6, contacts=True)
     names = "contacts", "forward dynamics", "constraint forces", "contact forces", "one step"
     assert tuple(row.quantity for row in report.rows) == names
-    assert report.ok and report.columns == COLUMNS[:2]
+    assert report.success and report.columns == COLUMNS[:2]
     assert all(row.errors["rbjax f64"].worst < 1e-11 for row in report.rows)
     assert report.row("contacts").errors["rbjax f64"].worst == 0
     assert "Newton steps or fewer in f64" in report.notes[0]

@@ -78,14 +78,14 @@ class Refined(Record):
         residuals: its `Residuals`.
         start_time: (), the duration of the fastest motion along the path, s.
         steps_taken: (), the number of accepted steps.
-        ok: (), whether a motion along the path exists.
+        success: (), whether a motion along the path exists.
     """
 
     motion: Timed
     residuals: Residuals
     start_time: jax.Array
     steps_taken: jax.Array
-    ok: jax.Array
+    success: jax.Array
 
     @property
     def status(self) -> str:
@@ -95,7 +95,7 @@ class Refined(Record):
         After "not converged", see the residuals. "infeasible" means that the limits do not hold on
         the path.
         """
-        if not bool(self.ok):
+        if not bool(self.success):
             return "infeasible"
         rounding = 64 * float(jnp.finfo(self.motion.time.dtype).eps)
         change = float(self.motion.time) / float(self.start_time) - 1
@@ -215,7 +215,7 @@ def _refine(
     found = optimise(s, w, iterations)
     z = jnp.concatenate([s.start[None], s.states(found.w)[:, -1]])
     return Refined(
-        _as_motion(s, found.w, z), _residuals(s, found.w, z[-1]), motion.time, found.taken, first.ok
+        _as_motion(s, found.w, z), _residuals(s, found.w, z[-1]), motion.time, found.taken, first.success
     )
 
 

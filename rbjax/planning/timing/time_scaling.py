@@ -39,16 +39,16 @@ class TimeScaled(Record):
 
     Fields:
         motion: a `Timed` of 2 n intervals, alternately standing and driving; some have no duration.
-        ok: (), whether such a motion exists.
+        success: (), whether such a motion exists.
     """
 
     motion: Timed
-    ok: jax.Array
+    success: jax.Array
 
     @property
     def status(self) -> str:
         """Status: "found", or "infeasible" if no speed satisfies the limits."""
-        return "found" if bool(self.ok) else "infeasible"
+        return "found" if bool(self.success) else "infeasible"
 
 
 def time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
