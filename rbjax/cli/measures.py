@@ -78,7 +78,8 @@ def validate(
         print(json.dumps(report.to_dict(), indent=1))
     else:
         out.print(report.table())
-        verdict = "[green]within tolerance[/]" if report.success else "[bold red]out of tolerance[/]"
+        within, out_of = "[green]within tolerance[/]", "[bold red]out of tolerance[/]"
+        verdict = within if report.success else out_of
         out.print(f"rbjax is {verdict}.")
     if not report.success:
         raise typer.Exit(1)

@@ -73,5 +73,6 @@ def validate(
         rows=tuple(rows),
         note="Worst relative error against MuJoCo C in f64. Contacts, limits, friction loss and "
         "implicit damping are off on both sides. `rbjax validate FILE` adds MJX in f32 and f64.",
-        code="report = rb.validation.compare('arm7')\nreport.success, report.table(), report.to_dict()",
+        code="report = rb.validation.compare('arm7')\n"
+        "report.success, report.table(), report.to_dict()",
     )

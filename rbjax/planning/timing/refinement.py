@@ -215,7 +215,11 @@ def _refine(
     found = optimise(s, w, iterations)
     z = jnp.concatenate([s.start[None], s.states(found.w)[:, -1]])
     return Refined(
-        _as_motion(s, found.w, z), _residuals(s, found.w, z[-1]), motion.time, found.taken, first.success
+        _as_motion(s, found.w, z),
+        _residuals(s, found.w, z[-1]),
+        motion.time,
+        found.taken,
+        first.success,
     )
 
 
