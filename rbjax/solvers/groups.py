@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import fusion_barrier
 from rbjax.rotations import quaternion
+from rbjax.rotations.coefficients import inverse_jacobian_coefficient, stumpff
 
 
 class AbstractGroup(eqx.Module):
@@ -74,7 +75,7 @@ class SE3(AbstractGroup):
     def retract(self, y, u):
         (turn, at), (w, v) = y, u
         once = jnp.cross(w, v)
-        first, second, _ = _series((w * w).sum())
+        first, second = stumpff((w * w).sum(), 2, 3)
         step = v + first * once + second * jnp.cross(w, once)
         return SO3().retract(turn, w), at + _rotated(turn, step)
 
@@ -82,8 +83,8 @@ class SE3(AbstractGroup):
         w = SO3().difference(y[0], z[0])
         v = _rotated(quaternion.conjugate(y[0]), z[1] - y[1])
         once = jnp.cross(w, v)
-        _, _, inverse = _series((w * w).sum())
-        return w, v - once / 2 + inverse * jnp.cross(w, once)
+        e = inverse_jacobian_coefficient((w * w).sum())
+        return w, v - once / 2 + e * jnp.cross(w, once)
 
     def bracket(self, u, w):
         (a, x), (b, y) = u, w
@@ -111,28 +112,6 @@ class Product(AbstractGroup):
 
 def _rotated(turn: jax.Array, v: jax.Array) -> jax.Array:
     return (quaternion.to_matrix(turn) * v).sum(-1)
-
-
-def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - (a / 2) cot(a / 2)) / a^2 as smooth
-    functions of a^2."""
-    small = square < 0.01
-    x = jnp.where(small, square, 0.0)
-    near = (
-        1 / 2 - x / 24 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90))),
-        1 / 6 - x / 120 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110))),
-        1 / 12 + x / 720 * (1 + x / 42 * (1 + x / 40 * (1 + x * 5 / 198))),
-    )
-    x = jnp.where(small, 1.0, square)
-    a = jnp.sqrt(x)
-    half = jnp.sin(a / 2)
-    far = (
-        2 * half**2 / x,
-        (a - jnp.sin(a)) / (a * x),
-        (1 - a / 2 * jnp.cos(a / 2) / half) / x,
-    )
-    first, second, third = (jnp.where(small, n, f) for n, f in zip(near, far, strict=True))
-    return first, second, third
 
 
 class OnGroup(diffrax.AbstractTerm):

@@ -80,15 +80,12 @@ def rkmk(order: int) -> MuntheKaas:
     Args:
         order: 2 to 5.
 
-    Returns:
-        A `MuntheKaas`.
-
     Raises:
         InputError: another order.
 
     Example:
-        >>> from rbjax.solvers import rkmk
-        >>> rkmk(4).order(None)
+        >>> import rbjax as rb
+        >>> rb.solvers.rkmk(4).order(None)
         4
     """
     integer("rkmk", "order", order, least=2, most=5)
@@ -126,10 +123,6 @@ class CommutatorFree4(AbstractGroupSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         group, f, h = group_of(terms), Field(terms, args), t1 - t0
-        y1 = self._advanced(group, f, t0, h, y0)
-        return y1, None, dense_output(terms, args, t0, t1, y0, y1), None, RESULTS.successful
-
-    def _advanced(self, group: AbstractGroup, f: Field, t0: Any, h: Any, y0: Any) -> Any:
         k1 = scale(h, f(t0, y0))
         second = group.retract(y0, scale(1 / 2, k1))
         k2 = scale(h, f(t0 + h / 2, second))
@@ -138,7 +131,8 @@ class CommutatorFree4(AbstractGroupSolver):
         k4 = scale(h, f(t0 + h, fourth))
         ks = (k1, k2, k3, k4)
         half = group.retract(y0, combine((1 / 4, 1 / 6, 1 / 6, -1 / 12), ks))
-        return group.retract(half, combine((-1 / 12, 1 / 6, 1 / 6, 1 / 4), ks))
+        y1 = group.retract(half, combine((-1 / 12, 1 / 6, 1 / 6, 1 / 4), ks))
+        return y1, None, dense_output(terms, args, t0, t1, y0, y1), None, RESULTS.successful
 
 
 def _product(group: AbstractGroup, y: Any, weights: tuple[float, ...], ks: tuple) -> Any:
@@ -161,9 +155,8 @@ class RigidBody(OnGroup):
         InputError: the inertia has another shape, or is not positive.
 
     Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.solvers import RigidBody
-        >>> RigidBody(jnp.array([1.0, 2.0, 3.0])).inertia.tolist()
+        >>> import rbjax as rb
+        >>> rb.solvers.RigidBody([1.0, 2.0, 3.0]).inertia.tolist()
         [1.0, 2.0, 3.0]
     """
 

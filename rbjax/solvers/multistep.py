@@ -314,15 +314,12 @@ def adams_bashforth(order: int) -> Adams:
     Args:
         order: 1 to 5.
 
-    Returns:
-        An `Adams`.
-
     Raises:
         InputError: another order.
 
     Example:
-        >>> from rbjax.solvers import adams_bashforth
-        >>> adams_bashforth(3).order(None)
+        >>> import rbjax as rb
+        >>> rb.solvers.adams_bashforth(3).order(None)
         3
     """
     return Adams(order)
@@ -335,16 +332,10 @@ def adams_moulton(order: int, **options: Any) -> Adams:
         order: 2 to 5.
         options: fields of `Adams`.
 
-    Returns:
-        An `Adams`.
-
     Raises:
         InputError: another order.
 
-    Example:
-        >>> from rbjax.solvers import adams_moulton
-        >>> adams_moulton(3).order(None)
-        3
+    See `adams_bashforth` for an example.
     """
     return Adams(order, "root", **options)
 
@@ -355,16 +346,10 @@ def pece(order: int) -> Adams:
     Args:
         order: 2 to 5.
 
-    Returns:
-        An `Adams`.
-
     Raises:
         InputError: another order.
 
-    Example:
-        >>> from rbjax.solvers import pece
-        >>> pece(3).order(None)
-        3
+    See `adams_bashforth` for an example.
     """
     return Adams(order, "once")
 
@@ -376,15 +361,9 @@ def bdf(order: int, **options: Any) -> BDF:
         order: 1 to 6.
         options: fields of `BDF`.
 
-    Returns:
-        A `BDF`.
-
     Raises:
         InputError: another order.
 
-    Example:
-        >>> from rbjax.solvers import bdf
-        >>> bdf(2).order(None)
-        2
+    See `adams_bashforth` for an example.
     """
     return BDF(order, **options)

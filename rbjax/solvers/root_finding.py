@@ -95,13 +95,9 @@ def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
     Args:
         linear_solver: of lineax; None for `AutoLinearSolver`. GMRES needs no matrix.
 
-    Returns:
-        A `RootFinder`.
-
     Example:
-        >>> from rbjax.solvers import newton
-        >>> type(newton().inner).__name__
-        'Newton'
+        >>> import rbjax as rb
+        >>> solver = rb.solvers.radau_iia(3, root_finder=rb.solvers.newton())
     """
     return RootFinder(
         inner=_make(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None))
@@ -114,16 +110,10 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
     Args:
         linear_solver: of lineax; None for the inverse.
 
-    Returns:
-        A `RootFinder`.
-
     Raises:
         InputError: the linear solver uses only matrix-vector products, so it cannot reuse a matrix.
 
-    Example:
-        >>> from rbjax.solvers import chord
-        >>> type(chord().inner).__name__
-        'Chord'
+    See `newton` for an example.
     """
     if linear_solver is not None and iterative(linear_solver):
         name = type(linear_solver).__name__
@@ -137,13 +127,7 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> RootFinder:
 def very_chord() -> RootFinder:
     """Return diffrax's iteration for diagonally implicit methods: one Jacobian for all stages.
 
-    Returns:
-        A `RootFinder`.
-
-    Example:
-        >>> from rbjax.solvers import very_chord
-        >>> type(very_chord().inner).__name__
-        'VeryChord'
+    See `newton` for an example.
     """
     return RootFinder(inner=diffrax.VeryChord(1.0, 1.0))
 

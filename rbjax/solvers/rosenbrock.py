@@ -181,12 +181,9 @@ def ros2(**options: Any) -> RosenbrockW:
     Args:
         options: fields of `RosenbrockW`.
 
-    Returns:
-        A `RosenbrockW`.
-
     Example:
-        >>> from rbjax.solvers import ros2
-        >>> ros2().order(None)
+        >>> import rbjax as rb
+        >>> rb.solvers.ros2().order(None)
         2
     """
     return RosenbrockW(_ros2(), **options)
@@ -198,12 +195,6 @@ def ros34pw2(**options: Any) -> RosenbrockW:
     Args:
         options: fields of `RosenbrockW`.
 
-    Returns:
-        A `RosenbrockW`.
-
-    Example:
-        >>> from rbjax.solvers import ros34pw2
-        >>> ros34pw2().order(None)
-        3
+    See `ros2` for an example.
     """
     return RosenbrockW(_ros34pw2(), **options)

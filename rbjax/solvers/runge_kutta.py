@@ -212,15 +212,9 @@ def implicit_midpoint(**options: Any) -> ImplicitRungeKutta:
     A-stable, symplectic and symmetric.
 
     Args:
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
-    Returns:
-        An `ImplicitRungeKutta`.
-
-    Example:
-        >>> from rbjax.solvers import implicit_midpoint
-        >>> type(implicit_midpoint()).__name__
-        'ImplicitRungeKutta'
+    See `gauss_legendre` for an example.
     """
     return ImplicitRungeKutta(tables.gauss(1), **options)
 
@@ -229,15 +223,9 @@ def trapezoid(**options: Any) -> ImplicitRungeKutta:
     """Return the trapezoidal rule (Crank-Nicolson): order 2, A-stable, symmetric.
 
     Args:
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
-    Returns:
-        An `ImplicitRungeKutta`.
-
-    Example:
-        >>> from rbjax.solvers import trapezoid
-        >>> type(trapezoid()).__name__
-        'ImplicitRungeKutta'
+    See `gauss_legendre` for an example.
     """
     return ImplicitRungeKutta(tables.lobatto_iiia(2), **options)
 
@@ -247,17 +235,14 @@ def gauss_legendre(stages: int = 2, **options: Any) -> ImplicitRungeKutta:
 
     Args:
         stages: number of stages.
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
-
-    Returns:
-        An `ImplicitRungeKutta`.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
     Raises:
         InputError: a number of stages that is not available.
 
     Example:
-        >>> from rbjax.solvers import gauss_legendre
-        >>> gauss_legendre(3).order(None)
+        >>> import rbjax as rb
+        >>> rb.solvers.gauss_legendre(3).order(None)
         6
     """
     integer("gauss_legendre", "stages", stages, least=1, most=MOST_STAGES)
@@ -270,18 +255,12 @@ def radau_iia(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
 
     Args:
         stages: number of stages.
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
-
-    Returns:
-        An `ImplicitRungeKutta`.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
     Raises:
         InputError: a number of stages that is not available.
 
-    Example:
-        >>> from rbjax.solvers import radau_iia
-        >>> radau_iia(3).order(None)
-        5
+    See `gauss_legendre` for an example.
     """
     integer("radau_iia", "stages", stages, least=1, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
@@ -292,18 +271,12 @@ def lobatto_iiia(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
 
     Args:
         stages: number of stages.
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
-
-    Returns:
-        An `ImplicitRungeKutta`.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
     Raises:
         InputError: a number of stages that is not available.
 
-    Example:
-        >>> from rbjax.solvers import lobatto_iiia
-        >>> lobatto_iiia(3).order(None)
-        4
+    See `gauss_legendre` for an example.
     """
     integer("lobatto_iiia", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
@@ -314,18 +287,12 @@ def lobatto_iiic(stages: int = 3, **options: Any) -> ImplicitRungeKutta:
 
     Args:
         stages: number of stages.
-        options: fields of `ImplicitRungeKutta`, such as the tolerance of its iteration.
-
-    Returns:
-        An `ImplicitRungeKutta`.
+        options: fields of `ImplicitRungeKutta`, such as `root_finder`.
 
     Raises:
         InputError: a number of stages that is not available.
 
-    Example:
-        >>> from rbjax.solvers import lobatto_iiic
-        >>> lobatto_iiic(3).order(None)
-        4
+    See `gauss_legendre` for an example.
     """
     integer("lobatto_iiic", "stages", stages, least=2, most=MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiic(stages), **options)

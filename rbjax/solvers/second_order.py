@@ -181,16 +181,13 @@ def generalized_alpha(rho_inf: float = 0.9, **options: Any) -> GeneralizedAlpha:
         rho_inf: spectral radius at infinite frequency, from 0 to 1.
         options: fields of `GeneralizedAlpha`.
 
-    Returns:
-        A `GeneralizedAlpha`.
-
     Raises:
         InputError: rho_inf out of its range.
 
     Example:
-        >>> from rbjax.solvers import generalized_alpha
-        >>> type(generalized_alpha(0.5)).__name__
-        'GeneralizedAlpha'
+        >>> import rbjax as rb
+        >>> rb.solvers.generalized_alpha(0.5).order(None)
+        2
     """
     real_number("generalized_alpha", "rho_inf", rho_inf, least=0, most=1, traced=True)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
@@ -208,16 +205,10 @@ def newmark(beta: float = 0.25, gamma: float = 0.5, **options: Any) -> Generaliz
         gamma: weight of the new acceleration in the velocity, at least 1/2.
         options: fields of `GeneralizedAlpha`.
 
-    Returns:
-        A `GeneralizedAlpha`.
-
     Raises:
         InputError: beta or gamma out of its range.
 
-    Example:
-        >>> from rbjax.solvers import newmark
-        >>> type(newmark()).__name__
-        'GeneralizedAlpha'
+    See `generalized_alpha` for an example.
     """
     real_number("newmark", "beta", beta, least=0, traced=True)
     real_number("newmark", "gamma", gamma, least=0.5, traced=True)  # below, oscillations grow
@@ -231,16 +222,10 @@ def hht_alpha(alpha: float = -0.1, **options: Any) -> GeneralizedAlpha:
         alpha: from -1/3, with the most damping, to 0.
         options: fields of `GeneralizedAlpha`.
 
-    Returns:
-        A `GeneralizedAlpha`.
-
     Raises:
         InputError: alpha out of its range.
 
-    Example:
-        >>> from rbjax.solvers import hht_alpha
-        >>> type(hht_alpha(-0.05)).__name__
-        'GeneralizedAlpha'
+    See `generalized_alpha` for an example.
     """
     real_number("hht_alpha", "alpha", alpha, least=-1 / 3, most=0, traced=True)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)

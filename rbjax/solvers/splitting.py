@@ -120,12 +120,9 @@ def symplectic_euler(velocity_forces: bool = True) -> Splitting:
     Args:
         velocity_forces: whether forces depend on the velocity; false saves work if they do not.
 
-    Returns:
-        A `Splitting`.
-
     Example:
-        >>> from rbjax.solvers import symplectic_euler
-        >>> symplectic_euler().order(None)
+        >>> import rbjax as rb
+        >>> rb.solvers.symplectic_euler().order(None)
         1
     """
     return Splitting((1.0,), (1.0,), 1, velocity_forces)
@@ -137,13 +134,7 @@ def stoermer_verlet(velocity_forces: bool = True) -> Splitting:
     Args:
         velocity_forces: whether forces depend on the velocity; false saves work if they do not.
 
-    Returns:
-        A `Splitting`.
-
-    Example:
-        >>> from rbjax.solvers import stoermer_verlet
-        >>> stoermer_verlet().order(None)
-        2
+    See `symplectic_euler` for an example.
     """
     return _verlets((1.0,), 2, velocity_forces)
 
@@ -154,13 +145,7 @@ def yoshida4(velocity_forces: bool = True) -> Splitting:
     Args:
         velocity_forces: whether forces depend on the velocity; false saves work if they do not.
 
-    Returns:
-        A `Splitting`.
-
-    Example:
-        >>> from rbjax.solvers import yoshida4
-        >>> yoshida4().order(None)
-        4
+    See `symplectic_euler` for an example.
     """
     return _verlets(YOSHIDA4, 4, velocity_forces)
 
@@ -171,12 +156,6 @@ def yoshida6(velocity_forces: bool = True) -> Splitting:
     Args:
         velocity_forces: whether forces depend on the velocity; false saves work if they do not.
 
-    Returns:
-        A `Splitting`.
-
-    Example:
-        >>> from rbjax.solvers import yoshida6
-        >>> yoshida6().order(None)
-        6
+    See `symplectic_euler` for an example.
     """
     return _verlets(YOSHIDA6, 6, velocity_forces)
