@@ -118,11 +118,10 @@ def multipliers(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import multipliers
         >>> model = rb.load("double_pendulum")
         >>> rod = rb.constraints.Distance.between(model, None, "lower", point=[0.3, 0.0, 0.0],
         ...     other=[0.0, 0.0, 0.4])
-        >>> multipliers(model.with_constraints(rod), model.default_state()).shape
+        >>> rb.constraints.multipliers(model.with_constraints(rod), model.default_state()).shape
         (1,)
     """
     return _multipliers(model, state, ctrl, t)
@@ -160,10 +159,9 @@ def joint_wrenches(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import joint_wrenches
         >>> model = rb.load("double_pendulum")
         >>> pin = rb.constraints.Revolute.between(model, None, "lower", point=[0.0, 0.0, 1.0])
-        >>> joint_wrenches(model.with_constraints(pin), model.default_state()).shape
+        >>> rb.constraints.joint_wrenches(model.with_constraints(pin), model.default_state()).shape
         (1, 6)
     """
     l = _multipliers(model, state, ctrl, t)

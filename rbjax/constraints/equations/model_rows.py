@@ -137,11 +137,10 @@ def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import jacobian
         >>> model = rb.load("double_pendulum")
         >>> rod = rb.constraints.Distance.between(model, None, "lower", point=[0.3, 0.0, 0.0],
         ...     other=[0.0, 0.0, 0.4])
-        >>> jacobian(model.with_constraints(rod), model.default_state().q).shape
+        >>> rb.constraints.jacobian(model.with_constraints(rod), model.default_state().q).shape
         (1, 2)
     """
     context = Context.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)

@@ -37,8 +37,7 @@ class JointPolynomial(Constraint):
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import JointPolynomial
-        >>> bend = JointPolynomial("elbow", "shoulder", [0.1, -2.0])
+        >>> bend = rb.constraints.JointPolynomial("elbow", "shoulder", [0.1, -2.0])
         >>> model = rb.load("double_pendulum").with_constraints(bend)
     """
 
@@ -115,8 +114,7 @@ class Prescribed(Constraint):
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.constraints import Prescribed
-        >>> swing = Prescribed("hinge", lambda t: 0.3 * jnp.sin(2 * t))
+        >>> swing = rb.constraints.Prescribed("hinge", lambda t: 0.3 * jnp.sin(2 * t))
         >>> model = rb.load("pendulum").with_constraints(swing)
     """
 

@@ -48,11 +48,9 @@ def time(context: Context) -> Row:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import time
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
-        >>> float(time(now).value)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
+        >>> float(rb.constraints.time(now).value)
         0.0
     """
     return Row(context.t, 1.0, Loads(), 0.0)
@@ -71,11 +69,9 @@ def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import coordinate
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
-        >>> float(coordinate(now, "shoulder").value)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
+        >>> float(rb.constraints.coordinate(now, "shoulder").value)
         0.0
     """
     j = context.joint(joint)
@@ -113,12 +109,10 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import displacement
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
         >>> A, B = now.body("upper"), now.body("lower")
-        >>> [round(float(row.value), 3) + 0.0 for row in displacement(A, B)]
+        >>> [round(float(row.value), 3) + 0.0 for row in rb.constraints.displacement(A, B)]
         [0.0, 0.0, -1.0]
     """
     d, rate, acceleration = _relative(A, B)
@@ -141,13 +135,11 @@ def along(A: Frame, u: Vec3, B: Frame) -> Row:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import along
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
         >>> A, B = now.body("upper"), now.body("lower")
         >>> from rbjax.lanes import Vec3
-        >>> round(float(along(A, Vec3(0.0, 0.0, 1.0), B).value), 3)
+        >>> round(float(rb.constraints.along(A, Vec3(0.0, 0.0, 1.0), B).value), 3)
         -1.0
     """
     u, w = A.rotation @ u, A.angular_velocity
@@ -176,14 +168,12 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import cosine
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
         >>> A, B = now.body("upper"), now.body("lower")
         >>> from rbjax.lanes import Vec3
         >>> z = Vec3(0.0, 0.0, 1.0)
-        >>> round(float(cosine(A, z, B, z).value), 3)
+        >>> round(float(rb.constraints.cosine(A, z, B, z).value), 3)
         1.0
     """
     u, w = A.rotation @ u, B.rotation @ w
@@ -214,12 +204,10 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import distance
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
         >>> A, B = now.body("upper"), now.body("lower")
-        >>> round(float(distance(A, B).value), 3)
+        >>> round(float(rb.constraints.distance(A, B).value), 3)
         1.0
     """
     d, rate, acceleration = _relative(A, B)
@@ -248,12 +236,10 @@ def turn(A: Frame, B: Frame) -> list[Row]:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import turn
-        >>> from rbjax.forces import Context
         >>> model = rb.load("double_pendulum")
-        >>> now = Context.of(model, 0.0, model.default_state(), None)
+        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
         >>> A, B = now.body("upper"), now.body("lower")
-        >>> [round(float(row.value), 3) + 0.0 for row in turn(A, B)]
+        >>> [round(float(row.value), 3) + 0.0 for row in rb.constraints.turn(A, B)]
         [0.0, 0.0, 0.0]
     """
     return [
@@ -293,9 +279,8 @@ def places(
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.constraints import places
         >>> model = rb.load("double_pendulum")
-        >>> a, b = places(model, None, "lower", point=[0.3, 0.0, 0.0])
+        >>> a, b = rb.constraints.places(model, None, "lower", point=[0.3, 0.0, 0.0])
         >>> a.position.tolist()
         [0.3, 0.0, 0.0]
     """

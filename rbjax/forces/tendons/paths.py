@@ -68,13 +68,11 @@ def tendon_reach(context: Context, tendon: str | int) -> Reach:
     Example:
         >>> import jax.numpy as jnp
         >>> import rbjax as rb
-        >>> from rbjax.forces import tendon_reach
-        >>> from rbjax.forces import Context
         >>> arm = "<worldbody><body><joint name='a'/><geom size='0.1'/></body></worldbody>"
         >>> tie = "<tendon><fixed name='t'><joint joint='a' coef='2'/></fixed></tendon>"
         >>> model = rb.load(f"<mujoco>{arm}{tie}</mujoco>")
         >>> state = model.default_state().replace(q=jnp.array([0.3]))
-        >>> float(tendon_reach(Context.of(model, 0.0, state, None), "t").length)
+        >>> float(rb.forces.tendon_reach(rb.forces.Context.of(model, 0.0, state, None), "t").length)
         0.6
     """
     i = context.model.tendon(tendon)
