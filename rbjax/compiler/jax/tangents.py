@@ -63,13 +63,6 @@ def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
 batching.primitive_batchers[tangent_p] = _batched_tangent
 
 
-def _moving_tangents(primals, tangents):
-    """Return a flag for each argument, whether it has a tangent, and the list of these tangents."""
-    moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
-        primals, tangents, strict=True))  # fmt: skip
-    return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
-
-
 def _zero(x: jax.Array) -> ad.Zero:
     """Return the zero tangent of an argument."""
     return ad.Zero(jax.typeof(x).to_tangent_aval())
@@ -80,7 +73,9 @@ def _is_float(x: jax.Array) -> bool:
 
 
 def _jvp(primals, tangents, *, program, batch, ins, outs):
-    moving, moved = _moving_tangents(primals, tangents)
+    pairs = zip(primals, tangents, strict=True)
+    moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in pairs)
+    moved = [t for t, m in zip(tangents, moving, strict=True) if m]
     if not any(moving):
         found = run(program, primals, batch, ins, outs)
         return found, [_zero(x) for x in found]
@@ -101,15 +96,9 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
     first = tuple(range(len(batch)))
     whole = tuple(first if None in a else a for a in outs)  # sums over samples come later
     rate = tangent_p.bind(
-        *primals,
-        *residuals,
-        *moved,
-        program=program,
-        moving=moving,
-        batch=batch,
-        ins=axes,
+        *primals, *residuals, *moved, program=program, moving=moving, batch=batch, ins=axes,
         outs=whole,
-    )
+    )  # fmt: skip
     return found[:n], [
         (t if own == a else place_batch(t, a)) if _is_float(t) else _zero(x)
         for t, own, a, x in zip(rate, whole, outs, found[:n], strict=True)

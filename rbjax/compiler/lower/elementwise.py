@@ -167,6 +167,21 @@ accepts_delayed(
 )  # fmt: skip
 
 
+def entrywise(name: str) -> Callable:
+    """Register f(builder, dtype of the result, parameters, *entries) as the rule of a primitive."""
+
+    def register(f: Callable[..., Value]) -> Callable[..., Value]:
+        def lower(low: Lowering, eqn: Equation, ins: list) -> list:
+            dtype = dtype_of(eqn.outvars[0].aval)
+            of_entries = functools.partial(f, low.b, dtype, eqn.params)
+            return [map_entrywise(low, dtype, _shape(eqn), of_entries, *ins)]
+
+        rule(name)(lower)
+        return f
+
+    return register
+
+
 @rule("div")
 def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
@@ -177,26 +192,21 @@ def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
-@rule("rem")
-def _rem(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype = dtype_of(eqn.outvars[0].aval)
-    f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+@entrywise("rem")
+def _rem(b: Builder, dtype: np.dtype, params: dict, x: Value, y: Value) -> Value:
+    return b.op("fmod" if dtype.kind == "f" else "irem", dtype, x, y)
 
 
-@rule("pow")
-def _pow(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype = dtype_of(eqn.outvars[0].aval)
+@entrywise("pow")
+def _pow(b: Builder, dtype: np.dtype, params: dict, x: Value, y: Value) -> Value:
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
-    f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+    return b.op("pow", dtype, x, b.cast(y, dtype))
 
 
-@rule("square")
-def _square(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype = dtype_of(eqn.outvars[0].aval)
-    return [map_entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+@entrywise("square")
+def _square(b: Builder, dtype: np.dtype, params: dict, x: Value) -> Value:
+    return b.op("mul", dtype, x, x)
 
 
 @rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
@@ -204,83 +214,55 @@ def _one_minus_square(low: Lowering, eqn: Equation, ins: list) -> list:
     return low.evaluate(lambda x: (1 + x) * (1 - x), *ins, avals=[eqn.invars[0].aval])
 
 
-@rule("integer_pow")
-def _integer_pow(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
-
-    def power(x: Value) -> Value:
-        n, square, out = abs(y), x, None
-        while n:
-            if n & 1:
-                out = square if out is None else low.b.op("mul", dtype, out, square)
-            n >>= 1
-            if n:
-                square = low.b.op("mul", dtype, square, square)
-        out = dtype.type(1) if out is None else out
-        return low.b.op("div", dtype, dtype.type(1), out) if y < 0 else out
-
-    return [map_entrywise(low, dtype, _shape(eqn), power, *ins)]
+@entrywise("integer_pow")
+def _integer_pow(b: Builder, dtype: np.dtype, params: dict, x: Value) -> Value:
+    y = params["y"]
+    n, square, out = abs(y), x, None
+    while n:
+        if n & 1:
+            out = square if out is None else b.op("mul", dtype, out, square)
+        n >>= 1
+        if n:
+            square = b.op("mul", dtype, square, square)
+    out = dtype.type(1) if out is None else out
+    return b.op("div", dtype, dtype.type(1), out) if y < 0 else out
 
 
-@rule("logistic")
-def _logistic(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
+@entrywise("logistic")
+def _logistic(b: Builder, dtype: np.dtype, params: dict, x: Value) -> Value:
     one = dtype.type(1)
-
-    def f(x: Value) -> Value:
-        e = b.op("exp", dtype, b.op("neg", dtype, x))
-        return b.op("div", dtype, one, b.op("add", dtype, e, one))
-
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+    e = b.op("exp", dtype, b.op("neg", dtype, x))
+    return b.op("div", dtype, one, b.op("add", dtype, e, one))
 
 
-@rule("sign")
-def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
-    zero = dtype.type(0)
-
-    def f(x: Value) -> Value:  # returns x itself if x is 0 or nan
-        below = x if dtype.kind == "u" else b.select(
-            b.op("lt", BOOL, x, zero), dtype.type(-1), x
-        )  # fmt: skip
-        return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
-
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+@entrywise("sign")
+def _sign(b: Builder, dtype: np.dtype, params: dict, x: Value) -> Value:
+    zero, below = dtype.type(0), x  # x itself if x is 0 or nan
+    if dtype.kind != "u":
+        below = b.select(b.op("lt", BOOL, x, zero), dtype.type(-1), x)
+    return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
 
 
-@rule("round")
-def _round(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
-    to_even = int(eqn.params["rounding_method"]) == 1
-    f = functools.partial(b.op, "rint" if to_even else "round", dtype)
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+@entrywise("round")
+def _round(b: Builder, dtype: np.dtype, params: dict, x: Value) -> Value:
+    return b.op("rint" if int(params["rounding_method"]) == 1 else "round", dtype, x)
 
 
-@rule("clamp")
-def _clamp(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
-
-    def f(least: Value, x: Value, most: Value) -> Value:
-        return b.op("min", dtype, b.op("max", dtype, x, least), most)
-
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+@entrywise("clamp")
+def _clamp(b: Builder, dtype: np.dtype, params: dict, least: Value, x: Value, most: Value) -> Value:
+    return b.op("min", dtype, b.op("max", dtype, x, least), most)
 
 
-@rule("select_n")
-def _select_n(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
-
-    def f(which: Value, *cases: Value) -> Value:
-        if len(cases) == 1:
-            return cases[0]
-        if which.dtype == BOOL:
-            return b.select(which, cases[1], cases[0])
-        out = cases[-1]
-        for k in reversed(range(len(cases) - 1)):
-            out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
-        return out
-
-    return [map_entrywise(low, dtype, _shape(eqn), f, *ins)]
+@entrywise("select_n")
+def _select_n(b: Builder, dtype: np.dtype, params: dict, which: Value, *cases: Value) -> Value:
+    if len(cases) == 1:
+        return cases[0]
+    if which.dtype == BOOL:
+        return b.select(which, cases[1], cases[0])
+    out = cases[-1]
+    for k in reversed(range(len(cases) - 1)):
+        out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
+    return out
 
 
 @rule("convert_element_type", "reduce_precision")

@@ -62,15 +62,9 @@ def cholesky(a: jax.Array) -> jax.Array:
     return _cholesky_by(a, False)[0]
 
 
-def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the Cholesky factor L and the inverses (n,) of its diagonal, by inverse square roots.
-
-    On a GPU, this is faster than square roots and divisions.
-    """
-    return _cholesky_by(a, True)
-
-
 def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
+    """Compute the Cholesky factor L. If `inverse`, compute also the inverses (n,) of its diagonal,
+    by inverse square roots, which are faster on a GPU than square roots and divisions."""
     n = len(a)
     rows = np.arange(n)
 
@@ -119,15 +113,15 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     return _columns(count, step, *start)
 
 
-def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
-    """Return the permutation (size,) that a sequence of row exchanges makes."""
-    rows = np.arange(size)
+def permutation(pivots: jax.Array, *, permutation_size: int) -> jax.Array:
+    """Return the permutation (permutation_size,) that a sequence of row exchanges makes."""
+    rows = np.arange(permutation_size)
 
     def step(k: ArrayLike, order: jax.Array) -> tuple:
         p = pivots[k]
         return (jnp.where(rows == k, _row(order, p), jnp.where(rows == p, order[k], order)),)
 
-    return _columns(len(pivots), step, jnp.arange(size, dtype=jnp.int32))[0]
+    return _columns(len(pivots), step, jnp.arange(permutation_size, dtype=jnp.int32))[0]
 
 
 def triangular_solve(
@@ -209,13 +203,21 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def lower_mapped(
-    low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]
-) -> list:
-    """Lower f, mapped over leading axes. ranks[0]: number of axes of f's first argument."""
-    for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
+def lower_mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, rank: int = 2) -> list:
+    """Lower f, mapped over leading axes. rank: number of axes of f's first argument."""
+    for _ in range(eqn.invars[0].aval.ndim - rank):
         f = jax.vmap(f)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+def matrix_rule(name: str, f: Callable, *params: str, rank: int = 2) -> None:
+    """Register f(*arrays, **params of the equation) as the rule of a primitive (`lower_mapped`)."""
+
+    def lower(low: Lowering, eqn: Equation, ins: list) -> list:
+        given = {name: eqn.params[name] for name in params if name in eqn.params}
+        return lower_mapped(low, eqn, ins, functools.partial(f, **given), rank)
+
+    rule(name)(lower)
 
 
 @rule("cholesky")
@@ -223,22 +225,19 @@ def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.in_team and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.to_scalars(ins[0])
         with low.b.per_thread():  # each thread computes the whole factor in its registers
-            L, inverses = lower_mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+            f = functools.partial(_cholesky_by, inverse=True)
+            L, inverses = lower_mapped(low, eqn, [a], f)
         for root, inverse in zip(np.diagonal(L), inverses, strict=True):
             low.b.inverses[root] = inverse
         return [L]
-    return lower_mapped(low, eqn, ins, cholesky, (2,))
+    return lower_mapped(low, eqn, ins, cholesky)
 
 
-@rule("lu")
-def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
-    return lower_mapped(low, eqn, ins, lu, (2,))
-
-
-@rule("lu_pivots_to_permutation")
-def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
-    f = functools.partial(permutation, size=eqn.params["permutation_size"])
-    return lower_mapped(low, eqn, ins, f, (1,))
+matrix_rule("lu", lu)
+matrix_rule("lu_pivots_to_permutation", permutation, "permutation_size", rank=1)
+matrix_rule("geqrf", lambda a: geqrf(a)[:2])
+matrix_rule("householder_product", householder_product)
+matrix_rule("qr", qr, "full_matrices", "pivoting")
 
 
 @rule("triangular_solve")
@@ -248,7 +247,7 @@ def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
         return [_solved_by_team(low, eqn, *ins)]
     ins = [arrays.materialize(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    return lower_mapped(low, eqn, ins, f, (2,))
+    return lower_mapped(low, eqn, ins, f)
 
 
 accepts_delayed("triangular_solve")
@@ -342,23 +341,6 @@ def _solved_by_team(
 
     arrays.for_each_index(b, (right.shape[1 if left else 0],), column)
     return view
-
-
-@rule("geqrf")
-def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
-    return lower_mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
-
-
-@rule("householder_product")
-def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
-    return lower_mapped(low, eqn, ins, householder_product, (2,))
-
-
-@rule("qr")
-def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
-    names = "full_matrices", "pivoting"
-    f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
-    return lower_mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")

@@ -49,11 +49,7 @@ def _all_in_bounds(low: Lowering, starts: list, most: list[int]) -> Value:
 def _gather(low: Lowering, eqn: Equation, ins: list) -> list:
     x, P, aval = ins[0], eqn.params, eqn.outvars[0].aval
     dims, sizes, mode = P["dimension_numbers"], P["slice_sizes"], P["mode"]
-    if mode not in (
-        GatherScatterMode.CLIP,
-        GatherScatterMode.FILL_OR_DROP,
-        GatherScatterMode.PROMISE_IN_BOUNDS,
-    ):
+    if mode not in (GatherScatterMode.CLIP, FILL, GatherScatterMode.PROMISE_IN_BOUNDS):
         raise Unsupported(f"gather with mode {mode}")
     if aval.size > LOOP_ABOVE:
         return [_gather_looped(low, eqn, ins)]

@@ -46,7 +46,7 @@ def _dot(low: Lowering, eqn: Equation, ins: list) -> list:
     terms = math.prod(contracted)
     if low.b.in_team and 2 * math.prod(shape) * terms > arrays.SHARED_ABOVE:
         return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
-    if math.prod(shape) * math.prod(contracted) > _unrolled(low.b, bool(fa and fb)):
+    if math.prod(shape) * terms > _unrolled(low.b, bool(fa and fb)):
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.to_scalars(x), low.to_scalars(y)
     b, out = low.b, np.empty(shape, object)
@@ -72,14 +72,9 @@ def _unrolled(b: Builder, matrices: bool) -> int:
 
 
 def _delayed(
-    low: Lowering,
-    x: ThreadArray,
-    y: ThreadArray,
-    shape: tuple,
-    contracted: tuple,
-    sizes: tuple,
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
     dtype: DTypeLike,
-) -> ThreadArray:
+) -> ThreadArray:  # fmt: skip
     """Return a product as a delayed array, whose sums are computed when they are read.
 
     A factor that several sums read and that is expensive is put in memory first.
@@ -128,14 +123,9 @@ def sum_terms(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DT
 
 
 def _looped(
-    low: Lowering,
-    x: ThreadArray,
-    y: ThreadArray,
-    shape: tuple,
-    contracted: tuple,
-    sizes: tuple,
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
     dtype: DTypeLike,
-) -> View:
+) -> View:  # fmt: skip
     """Emit a product as loops. On a CPU, several sums are computed together and share loads."""
     b, (nb, na, ny) = low.b, sizes
     x, y = arrays.to_memory(b, x, dtype), arrays.to_memory(b, y, dtype)
@@ -186,13 +176,9 @@ def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> No
 
         def more(*t: Value) -> None:
             for k, total in zip(tile, totals, strict=True):
-                term = b.op(
-                    "mul",
-                    dtype,
-                    arrays.load_entry(b, x, (*left, *t)),
-                    arrays.load_entry(b, y, (*right, k, *t)),
-                )
-                b.assign(total, b.op("add", dtype, total, term))
+                first = arrays.load_entry(b, x, (*left, *t))
+                second = arrays.load_entry(b, y, (*right, k, *t))
+                b.assign(total, b.op("add", dtype, total, b.op("mul", dtype, first, second)))
 
         arrays.for_each_index(b, x.shape[nb + na :], more)
         for k, total in zip(tile, totals, strict=True):

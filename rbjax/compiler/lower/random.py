@@ -14,10 +14,7 @@ import numpy as np
 
 from rbjax._jax_compat import key_implementation
 from rbjax.compiler.ir.statements import Unsupported, Value
-from rbjax.compiler.lower.arrays import (
-    ThreadArray,
-    indices_of,
-)
+from rbjax.compiler.lower.arrays import ThreadArray, indices_of
 from rbjax.compiler.lower.elementwise import map_entries
 from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 

@@ -149,16 +149,12 @@ accepts_delayed(*REDUCTIONS)
 
 
 def _unvmap(low: Lowering, eqn: Equation, ins: list) -> list:
-    dtype, name = eqn.outvars[0].aval.dtype, UNVMAP[eqn.primitive.name]
-    """Reduce over a batch, which a thread does not have: the value itself, reduced to one."""
-    x = ins[0]
+    """Reduce over a batch, which a thread does not have: only over the entries of one sample."""
+    x, dtype, name = ins[0], eqn.outvars[0].aval.dtype, UNVMAP[eqn.primitive.name]
     if not x.size:
         return [np.asarray(name == "and", dtype)]
-    return [
-        reduce_entries(
-            low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype)
-        )
-    ]
+    f = functools.partial(low.b.op, name, dtype)
+    return [reduce_entries(low, x, tuple(range(x.ndim)), dtype, f)]
 
 
 rule(*UNVMAP)(_unvmap)

@@ -140,13 +140,13 @@ def _whole(eqn: Equation) -> None:
 @rule("eigh")
 def _eigh(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
-    return lower_mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
+    return lower_mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]))
 
 
 @rule("svd")
 def _svd(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
-    f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
     if not eqn.params["compute_uv"]:
-        return lower_mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1], (2,))
-    return lower_mapped(low, eqn, ins, f, (2,))
+        return lower_mapped(low, eqn, ins, lambda a: svd(a, full_matrices=False)[:1])
+    f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
+    return lower_mapped(low, eqn, ins, f)

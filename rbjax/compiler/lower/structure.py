@@ -101,18 +101,30 @@ def _broadcast(low: Lowering, eqn: Equation, ins: list) -> list:
 
 @placing_rule("concatenate")
 def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
-    out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
+    return [_joined(low, eqn, ins, eqn.params["dimension"], places[0])]
+
+
+@placing_rule("stack")
+def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
+    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+    shape = list(eqn.outvars[0].aval.shape)
+    shape[axis] = 1
+    rows = [reshaped(low, x, tuple(shape)) for x in ins]
+    return [_joined(low, eqn, rows, axis, places[0])]
+
+
+def _joined(low: Lowering, eqn: Equation, ins: list, axis: int, place: View | None) -> ThreadArray:
+    """Return the concatenation of arrays along an axis: in memory if it is large or has a place
+    there, else in registers."""
+    out = eqn.outvars[0].aval
     whole = _pieces_of_one(ins, axis) if low.b.in_team else None
     if place is None and whole is not None:
-        return [whole]
+        return whole
     if place is None and out.size > (arrays.FEW if low.b.in_team else LOOP_ABOVE):
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
-        return [
-            arrays.fold_if_constant(
-                np.concatenate([low.to_scalars(x) for x in ins], axis), out.dtype
-            )
-        ]
+        values = np.concatenate([low.to_scalars(x) for x in ins], axis)
+        return arrays.fold_if_constant(values, out.dtype)
     start = 0
     with low.b.disjoint_writes():
         for x in ins:
@@ -120,66 +132,30 @@ def _concatenate(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
             box[axis] = slice(start, start + x.shape[axis], 1)
             arrays.write_to(low.b, place.slice_box(box), x)
             start += x.shape[axis]
-    return [place]
+    return place
 
 
 def _pieces_of_one(xs: list, axis: int) -> View | None:
-    """Return adjacent pieces of one array as one view; None if they are not adjacent."""
+    """Return equally spaced pieces of one array as one view; None if they are not."""
     first = xs[0]
     if not all(isinstance(x, View) and x.array is first.array for x in xs):
         return None
-    at, step = first.offset, first.strides[axis]
+    at, step, strides = first.offset, first.strides[axis], list(first.strides)
+    if len(xs) > 1 and all(x.shape[axis] == 1 for x in xs):  # rows, at any distance
+        step = strides[axis] = xs[1].offset - first.offset
     for x in xs:
-        own = (x.base, x.offset, x.strides)
-        if own[0] is not first.base or own[1:] != (at, first.strides):
+        same = x.base is first.base and x.offset == at and x.strides == first.strides
+        if not same:
             return None
         at += x.shape[axis] * step
     shape = list(first.shape)
     shape[axis] = sum(x.shape[axis] for x in xs)
-    return View(first.array, first.base, first.offset, first.strides, tuple(shape))
+    return View(first.array, first.base, first.offset, tuple(strides), tuple(shape))
 
 
 @rule("tile")
 def _tile(low: Lowering, eqn: Equation, ins: list) -> list:
     return [np.tile(low.to_scalars(ins[0]), eqn.params["reps"])]
-
-
-@placing_rule("stack")
-def _stack(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
-    axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
-    out = eqn.outvars[0].aval
-    if place is None and low.b.in_team and out.size > arrays.FEW:
-        whole = _rows_of_one(ins, axis)
-        if whole is not None:
-            return [whole]
-        place = View.of(low.b.local(out.dtype, out.size), out.shape)
-    if place is None:
-        return [
-            arrays.fold_if_constant(
-                np.stack([low.to_scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype
-            )
-        ]
-    with low.b.disjoint_writes():
-        for k, x in enumerate(ins):
-            arrays.write_to(low.b, place.at(low.b, axis, np.int32(k)), x)
-    return [place]
-
-
-def _rows_of_one(xs: list, axis: int) -> View | None:
-    """Return equally spaced rows of one array as one view; None if they are not."""
-    first = xs[0]
-    if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
-        return None
-    step = xs[1].offset - first.offset
-    for k, x in enumerate(xs):
-        if x.array is not first.array or x.base is not first.base or x.strides != first.strides:
-            return None
-        if x.offset != first.offset + k * step:
-            return None
-    strides, shape = list(first.strides), list(first.shape)
-    strides.insert(axis, step)
-    shape.insert(axis, len(xs))
-    return View(first.array, first.base, first.offset, tuple(strides), tuple(shape))
 
 
 @rule("unstack")
