@@ -161,9 +161,7 @@ def check_array(
 
 def module_for_check(x: Any) -> tuple[Any, Any]:
     """Return the module that checks an array, and the array: numpy if it is small, else jax.numpy.
-
-    Large arrays are checked on their device.
-    """
+    Large arrays are checked on their device."""
     if isinstance(x, jax.Array) and x.size > FEW:
         return jnp, x
     return np, np.asarray(x)

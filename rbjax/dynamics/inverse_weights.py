@@ -100,9 +100,7 @@ def _of_flexible(model: Model, dtype: Any) -> tuple[jax.Array, jax.Array]:
 
 def _joints(d: Driver, model: Model, dtype: Any) -> Any:
     """Return the motions of the joints in the reference configuration, per link.
-
-    The `Unrolled` driver gets literals, with zero displacement of hinges and slides.
-    """
+    The `Unrolled` driver gets literals, with zero displacement of hinges and slides."""
     reference = table(model.joints.reference, dtype)
     if not isinstance(d, Unrolled):
         return d.joints(jnp.asarray(reference, dtype), None)
@@ -129,9 +127,7 @@ def _motion(dof: Any, link: Any, at: list[Lane]) -> JointMotion:
 
 def _responses(d: Driver, joints: Any) -> Any:
     """Return, for each link, its response J M^-1 J^T to wrenches, and the diagonal entry of M^-1.
-
-    The response is an `ArticulatedInertia` whose J is the block of translations.
-    """
+    The response is an `ArticulatedInertia` whose J is the block of translations."""
     factors = factorize(d, joints)
 
     def outward(factor, parent):

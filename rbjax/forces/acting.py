@@ -154,9 +154,7 @@ def slopes(
     model: Model, t: Any, state: State, ctrl: Any, dt: Any = None, *, of: type[Element] = Element
 ) -> list[Slope]:
     """List the stiffness and damping of all forces, or of the elements of a class.
-
-    An actuator on a joint whose actuator forces are at a limit has none, as in MuJoCo.
-    """
+    An actuator on a joint whose actuator forces are at a limit has none, as in MuJoCo."""
     context = Context.of(model, t, state, ctrl, dt)
     found = element_contexts(model, context)
     out = [x for e, seen in found if isinstance(e, of) and not e.actuates for x in e.slopes(seen)]

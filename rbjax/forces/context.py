@@ -361,9 +361,7 @@ class _NotItsOwn(Exception):
 
 class _Still:
     """A substitute for `LinkMotion` that has the pose and the twist of one link only.
-
-    `on_each` uses it in its loop over the bodies.
-    """
+    `on_each` uses it in its loop over the bodies."""
 
     def __getattr__(self, name: str) -> Any:
         raise _NotItsOwn

@@ -104,9 +104,7 @@ def arms_of_pieces(links: LinkMotion, pieces: Sequence[Piece]) -> Arms:
 
 def _crossings(links: LinkMotion, pieces: Iterable[Piece]) -> dict[int, tuple]:
     """Return, by link, the pieces that act on it, as pairs (index, True if it moves the end).
-
-    A piece acts on a link if the link carries one of its two ends, but not both.
-    """
+    A piece acts on a link if the link carries one of its two ends, but not both."""
     ancestors = links.driver.topology.ancestors
     out: dict[int, tuple] = {}
     for k, piece in enumerate(pieces):
@@ -120,9 +118,7 @@ def _crossings(links: LinkMotion, pieces: Iterable[Piece]) -> dict[int, tuple]:
 def _sum(pieces: Sequence[Piece], crossing: tuple) -> tuple[Vec3, Vec3, Vec3]:
     """Sum the pulls of pieces on a dof. Return a point, the force, and the moment about the point,
     in world axes.
-
-    crossing: pairs (index of a piece, True if the dof moves the piece's end and not its start).
-    """
+    crossing: pairs (index of a piece, True if the dof moves the piece's end and not its start)."""
     (first, ends), *others = crossing
     point, force, moment = pieces[first].point, pieces[first].pull, Vec3.zero()
     force = force if ends else -force

@@ -129,6 +129,4 @@ class DistributedPower(Protocol):
 
     def power(self, w: Vec3, a: Motion, V: Motion) -> Lane:
         """Compute the power from the motion of the base frame, in its axes.
-
-        w: angular velocity. a: classical acceleration. V: virtual twist.
-        """
+        w: angular velocity. a: classical acceleration. V: virtual twist."""

@@ -126,9 +126,7 @@ class Slide(Joint):
 
 class Ball(Joint):
     """Ball (spherical joint): q is a unit quaternion (4,).
-
-    v is the angular velocity (3,) in body axes, rad/s.
-    """
+    v is the angular velocity (3,) in body axes, rad/s."""
 
     name = "ball"
     dofs, quaternion, aligned = ball_dofs(0, 0), True, False
@@ -154,9 +152,7 @@ class Free(Joint):
 
 class Screw(Joint):
     """Screw (helical joint): rotation about the axis, q in rad, with a translation along it.
-
-    The parameter `pitch` is the translation per angle, m/rad.
-    """
+    The parameter `pitch` is the translation per angle, m/rad."""
 
     name = "screw"
     params = MappingProxyType({"pitch": 0.0})

@@ -289,9 +289,7 @@ def rotation_z(c: Lane, s: Lane) -> Mat3:
 
 def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
     """Compute the rotation matrix of a quaternion (w, u) of any nonzero length.
-
-    R = 1 + (2 / |q|^2) (w [u] + [u][u])
-    """
+    R = 1 + (2 / |q|^2) (w [u] + [u][u])"""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = s * x, s * y, s * z
     wx, wy, wz = w * sx, w * sy, w * sz

@@ -77,9 +77,7 @@ def unpack(x: jax.Array) -> list[Lane]:
 
 def pack(lanes: Sequence[Lane], like: jax.Array) -> jax.Array:
     """Stack lanes as the rows of an array, with the dtype and the row shape of `like`.
-
-    A fusion barrier computes each lane once.
-    """
+    A fusion barrier computes each lane once."""
     if not lanes:
         return jnp.zeros((0, *like.shape[1:]), like.dtype)
     rows = [jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape[1:]) for x in lanes]

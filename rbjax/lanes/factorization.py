@@ -151,9 +151,7 @@ def _inverse(pivot: Lane, entry: Lane, least: float) -> Lane:
 
 def elimination_order(A: Rows) -> list[int]:
     """Return a minimum-degree order of elimination, which causes little fill-in.
-
-    (Tinney & Walker 1967; George & Liu 1989.)
-    """
+    (Tinney & Walker 1967; George & Liu 1989.)"""
     n = len(A)
     near = [
         {j for j in range(n) if j != i and not is_zero(A[max(i, j)][min(i, j)])} for i in range(n)
@@ -176,9 +174,7 @@ REFINEMENTS = {4: 3, 8: 2}
 
 def regularization(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
     """Return eps and e of the regularization E = eps diag(A) + e B, and the number of refinements.
-
-    damping: value of eps and e, with one refinement; None uses the values of the dtype.
-    """
+    damping: value of eps and e, with one refinement; None uses the values of the dtype."""
     if damping is not None:
         return damping, damping, 1
     eps, e = (rank_tolerance(name, dtype) for name in ("regularization", "vanishing row"))

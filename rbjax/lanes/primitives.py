@@ -72,9 +72,7 @@ def _bind_nonzero(values):
 
 def whole_cotangent(x: jax.Array) -> jax.Array:
     """Return x, and replace a symbolic zero cotangent by an array of zeros.
-
-    The transpose of a `scan` does not accept symbolic zeros for its columns (jax 0.10.2).
-    """
+    The transpose of a `scan` does not accept symbolic zeros for its columns (jax 0.10.2)."""
     return _whole.bind(x)[0]
 
 

@@ -202,9 +202,7 @@ def transition(
 ) -> tuple:
     """Return the state and the mode after an event, the contacts that closed, the residual of the
     impact and whether it succeeded.
-
-    e: restitution. rest: normal speed up to which a contact does not rebound.
-    """
+    e: restitution. rest: normal speed up to which a contact does not rebound."""
     at, mu = system.unit(y), system.friction
     now = system.motion(t, y, mode)[2]
     found = jax.lax.stop_gradient(now)

@@ -66,9 +66,7 @@ def runge_kutta(
     *, written: bool | None = None,
 ) -> State:  # fmt: skip
     """Advance a state by a step of an explicit tableau.
-
-    written: whether to unroll the stages; None: unroll them if there are few.
-    """
+    written: whether to unroll the stages; None: unroll them if there are few."""
     q0, v0, x0, report = state.q, state.v, state.x, state.report
     t0, parts = t, 2 if x0 is None else 3
 

@@ -87,9 +87,7 @@ def _coupling(slopes: list[Slope], rows: jax.Array, dt: Any) -> list[Lane]:
 def _gyroscopic(field: Field, state: State, rows: list[Lane], dt: Any) -> dict:
     """Compute h db/dv of bodies that float freely, by entry; zero if a row or an implicit force
     acts.
-
-    rows: number of rows and forces on each dof.
-    """
+    rows: number of rows and forces on each dof."""
     top, out = field.precomputed.topology, dict[tuple[int, int], Lane]()
     turning = floating(top)
     if not turning:

@@ -133,9 +133,7 @@ def make_term(
     start: Any = None,
 ) -> tuple[diffrax.AbstractTerm, State]:
     """Return the diffrax term of the equations of motion for a solver, and the initial state.
-
-    Solvers on Lie groups get a term on the manifold and normalized quaternions.
-    """
+    Solvers on Lie groups get a term on the manifold and normalized quaternions."""
     if not isinstance(solver, AbstractGroupSolver):
         return diffrax.ODETerm(VectorField(inputs, of_args, dynamics, start)), state
     top = model.topology

@@ -121,9 +121,7 @@ def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool
 
 def _width(sources: Sources, model: Model, rows: jax.Array | None, between: bool) -> int:
     """Return the number of columns of an input row.
-
-    between: whether the row also contains the values of input functions.
-    """
+    between: whether the row also contains the values of input functions."""
     asked = sum(
         math.prod(shape)
         for f, shape in zip(sources.functions, shapes(model), strict=True)

@@ -111,9 +111,7 @@ class Trajectory(eqx.Module):
 
 def scan_steps(step: Callable[[Any, jax.Array], Any], state: Any, count: int, every: int) -> Any:
     """Run state = step(state, i) for `count` steps. Return the states after each `every` steps.
-
-    The reverse gradient keeps these states, and computes the steps between them again.
-    """
+    The reverse gradient keeps these states, and computes the steps between them again."""
 
     def once(state: Any, i: jax.Array) -> tuple[Any, None]:
         return step(state, i), None

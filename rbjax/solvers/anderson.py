@@ -46,9 +46,7 @@ def accelerate(
     history: History, x: jax.Array, f: jax.Array, error: jax.Array
 ) -> tuple[jax.Array, History]:
     """Return the next x (n,) of the iteration, and the history with this round.
-
-    f: (n,) value f(x). error: () error of this round, such as a norm of f - x.
-    """
+    f: (n,) value f(x). error: () error of this round, such as a norm of f - x."""
     r = f - x
     df, dr = f - history.f, r - history.r
     one = jnp.isfinite(history.error) & ((error < history.error) | ~history.used)

@@ -33,9 +33,7 @@ from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
     """Return the elementary weights Phi_i (s,) of a rooted tree of a W-method.
-
-    kinds: for each node with one branch, whether it has a factor J. The list is emptied.
-    """
+    kinds: for each node with one branch, whether it has a factor J. The list is emptied."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:

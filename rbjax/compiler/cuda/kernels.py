@@ -120,9 +120,7 @@ def _pitch(row: int) -> int:
 
 def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
     """Allocate shared memory to results staged as a whole, to the tile, and then to operands.
-
-    While the results do not fit, the largest one goes through the tile instead.
-    """
+    While the results do not fit, the largest one goes through the tile instead."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]

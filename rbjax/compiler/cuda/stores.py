@@ -233,9 +233,7 @@ def streaming_arrays(program: Written) -> set[int]:
 
 class StorePrinter(Printer):
     """A printer of statements, with stores through the tile, and streaming loads and stores.
-
-    Entries of streaming arrays (`streaming_arrays`) do not stay in the cache.
-    """
+    Entries of streaming arrays (`streaming_arrays`) do not stay in the cache."""
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, RowTile]],

@@ -218,9 +218,7 @@ class Builder:
     @contextmanager
     def team_loop(self, count: int, prefetch: bool = False) -> Iterator[ir.Var]:
         """Emit a loop whose independent iterations are divided among the threads of a team.
-
-        prefetch: the loop copies entries that are first read after the next `Await`.
-        """
+        prefetch: the loop copies entries that are first read after the next `Await`."""
         counter, body = self.var(ir.I32), ir.Block()
         loop = ir.Loop(counter, count, False, body, True, prefetch, self._group)
         self.block.statements.append(loop)

@@ -45,9 +45,7 @@ def narrowed(kind: np.dtype, text: str) -> str:
 
 def infix(symbol: str, wraps: bool = False) -> CText:
     """Return the text of a binary operator.
-
-    wraps: signed integers wrap around on overflow, which C leaves undefined.
-    """
+    wraps: signed integers wrap around on overflow, which C leaves undefined."""
 
     def text(kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         if wraps and kind.kind == "i":

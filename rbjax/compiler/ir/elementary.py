@@ -122,9 +122,7 @@ def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
 
 def lifted(x: Number, power: int) -> tuple[Number, Number]:
     """Return |x| 2^power, and whether x is subnormal or zero.
-
-    The result is exact although XLA sets the processor's flag that reads subnormal numbers as 0.
-    """
+    The result is exact although XLA sets the processor's flag that reads subnormal numbers as 0."""
     bits = abs(x).bits(I64)
     one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
     subnormal = bits < 1 << 52

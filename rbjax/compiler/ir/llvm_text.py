@@ -38,9 +38,7 @@ def by_kind(
     f: LlvmText | None = None, i: LlvmText | None = None, b: LlvmText | None = None
 ) -> LlvmText:
     """Choose an operation's text by the kind of its result: f (floats), i (integers), b (booleans).
-
-    Booleans are integers of one bit if b is None.
-    """
+    Booleans are integers of one bit if b is None."""
     texts = {"f": f, "i": i, "u": i, "b": b or i}
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str | None:
@@ -155,9 +153,7 @@ def shift_arithmetic(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[
 
 def division(name: str) -> LlvmText:
     """Return the text of an integer division or remainder, defined for all arguments as in XLA.
-
-    a / 0 = -1 and a % 0 = a. The least integer divided by -1 is itself, with remainder 0.
-    """
+    a / 0 = -1 and a % 0 = a. The least integer divided by -1 is itself, with remainder 0."""
 
     def text(w: Instructions, kind: np.dtype, of: np.dtype, x: Sequence[str]) -> str:
         t, signed, truth = w.type(kind), kind.kind == "i", w.type(bool)

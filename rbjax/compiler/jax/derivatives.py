@@ -285,9 +285,7 @@ class Linearised:
     def transposed(self, has_cotangent: Sequence[bool]) -> Transposed | None:
         """Return the transpose (args, given, cotangents of results) -> cotangents of args with
         tangents, as a function of the variables `given`, which it does not compute.
-
-        Returns None if an equation computes values and tangents together.
-        """
+        Returns None if an equation computes values and tangents together."""
         eqns = Equations()
         eqns.consts.update(self.eqns.consts)
         parts = self.divided()

@@ -89,9 +89,7 @@ def flatten_call(
 
 def compile_threads(f: Callable, team: bool = False) -> Callable:
     """Compile f like `threads`, but also if no device runs kernels.
-
-    f must not close over traced values.
-    """
+    f must not close over traced values."""
 
     @automatic
     def bound(*args: object, **kwargs: object) -> object:
@@ -188,9 +186,7 @@ def map_threads(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> li
 
 def trace(f: Callable, args: Sequence) -> tuple[Program, list[jax.Array]]:
     """Trace a flat function. Return its program, and the traced values that it closes over.
-
-    The inputs of the program are these values, followed by the arguments.
-    """
+    The inputs of the program are these values, followed by the arguments."""
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
     with gc_paused(), inside():
         closed = jax.make_jaxpr(f)(*avals)

@@ -108,9 +108,7 @@ def _remaining_axis(axes: Axes, level: int) -> int | None:
 
 def under_xla(*operands, program, batch, ins, outs, each=jax.vmap):
     """Evaluate a program for a batch under XLA, by `vmap` of the traced function.
-
-    each: function (f, in_axes) that maps f over a batch.
-    """
+    each: function (f, in_axes) that maps f over a batch."""
     f: Callable = program
     for level in reversed(range(len(batch))):
         axes = [_remaining_axis(a, level) for a in ins]

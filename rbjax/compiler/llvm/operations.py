@@ -164,9 +164,7 @@ def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> 
 
 def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
     """Return the definition of a function by its formula in double precision.
-
-    Lanes in which the formula is not valid are computed by C's function.
-    """
+    Lanes in which the formula is not valid are computed by C's function."""
     builder, operation = Builder(), OPERATIONS[what]
     assert operation.formula is not None
     given = [builder.var(kind) for _ in range(operation.arity)]

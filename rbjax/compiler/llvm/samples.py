@@ -68,9 +68,7 @@ class Lines(list):
 
     def blocks(self, lanes: int, count: int) -> tuple[int, str, list[str]]:
         """Begin a loop over blocks of entries, of which the last may overlap the one before it.
-
-        Return the size of a block, its first entry, and the lines that end the loop.
-        """
+        Return the size of a block, its first entry, and the lines that end the loop."""
         size = min(lanes, 1 << count.bit_length() - 1)
         k, end = self.loop(-(-count // size))
         first = self.made(f"mul i64 {k}, {size}")

@@ -168,9 +168,7 @@ class Writer:
     def recall(self, x: ir.Var) -> str:
         """Emit the load of a value that another function of the program has stored in the shared
         frame.
-
-        A function loads a value once, but the main function loads it at each use.
-        """
+        A function loads a value once, but the main function loads it at each use."""
         if x.id not in self.recalled:
             name = f"%r{next(self.numbers)}"
             lines = self.entry if self.here else self.lines

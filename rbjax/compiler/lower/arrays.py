@@ -142,8 +142,7 @@ class View(Shaped):
 
     def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
         """Broadcast like `jax.lax.broadcast_in_dim`. Axis k of the view becomes axis axes[k] of the
-        result.
-        """
+        result."""
         strides = [0] * len(shape)
         for k, axis in enumerate(axes):
             strides[axis] = self.strides[k] if self.shape[k] == shape[axis] else 0

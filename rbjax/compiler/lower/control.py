@@ -342,9 +342,7 @@ def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
 
 def _updated_arguments(branches: Sequence[ClosedJaxpr], args: list, places: list) -> dict[int, int]:
     """Map results to the arguments that may be updated in place.
-
-    Every branch returns such an argument unchanged or updated, and nothing reads it later.
-    """
+    Every branch returns such an argument unchanged or updated, and nothing reads it later."""
     out: dict[int, int] = {}
     for k, origins in enumerate(zip(*map(_versions, branches), strict=True)):
         j = origins[0]

@@ -117,9 +117,7 @@ def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple)
 
 def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     """Return a delayed array of the entries of x, broadcast to a shape by numpy's rules.
-
-    Values in registers are also stored in memory, because an index may not be constant.
-    """
+    Values in registers are also stored in memory, because an index may not be constant."""
     if not isinstance(x, np.ndarray):
         wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
         if isinstance(wide, Delayed):

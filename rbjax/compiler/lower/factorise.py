@@ -87,9 +87,7 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the LU factorization with partial pivoting, as `jax.lax.linalg.lu`.
-
-    Returns L and U in one matrix, the row that is exchanged at each column, and the permutation.
-    """
+    Returns L and U in one matrix, the row that is exchanged at each column, and the permutation."""
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 

@@ -22,9 +22,7 @@ FILL = GatherScatterMode.FILL_OR_DROP
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
     """Return the start index of one window, one value per axis of the operand.
-
-    at: the position of the window in the batch of index vectors.
-    """
+    at: the position of the window in the batch of index vectors."""
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -93,9 +91,7 @@ def _place(
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
     """Return the operand's index of one entry of a window, and whether the window is in bounds.
-
-    offsets: for each window axis, the offset of the entry in the window.
-    """
+    offsets: for each window axis, the offset of the entry in the window."""
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
         starts[axis] = arrays.load_entry(low.b, indices, (*at, I32.type(k)))

@@ -76,9 +76,7 @@ def _delayed(
     dtype: DTypeLike,
 ) -> ThreadArray:  # fmt: skip
     """Return a product as a delayed array, whose sums are computed when they are read.
-
-    A factor that several sums read and that is expensive is put in memory first.
-    """
+    A factor that several sums read and that is expensive is put in memory first."""
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
     if not terms:
@@ -149,9 +147,7 @@ def _looped(
 
 def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
     """Copy y so that its free axes are last in memory, and a row of sums reads contiguous entries.
-
-    nb: number of batch axes of y. ny: number of its free axes, which follow.
-    """
+    nb: number of batch axes of y. ny: number of its free axes, which follow."""
     order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
     rows = arrays.transposed(y, order)
     assert isinstance(rows, View)
@@ -164,9 +160,7 @@ def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
 
 def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
     """Emit out = sum of x * y over the last axes.
-
-    The last axis of out is a tile, whose sums are computed together. y has the same axis.
-    """
+    The last axis of out is a tile, whose sums are computed together. y has the same axis."""
     (nb, na), dtype = sizes, out.dtype
     tile = [np.int32(k) for k in range(out.shape[-1])]
 

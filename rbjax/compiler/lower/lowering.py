@@ -91,9 +91,7 @@ def accepts_delayed(*names: str) -> None:
 
 def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
     """Register the decorated function as the lowering rule of these primitives.
-
-    unread: positions of arguments that the rule does not read.
-    """
+    unread: positions of arguments that the rule does not read."""
 
     def register(f: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, f))
@@ -148,9 +146,7 @@ class Lowering:
         places: Sequence[View | None] = (),
     ) -> list[ThreadArray]:
         """Emit the statements of a jaxpr, and return its results.
-
-        places: for each result, the view of memory in which to store it, or None.
-        """
+        places: for each result, the view of memory in which to store it, or None."""
         needs = self.analyze(jaxpr)
         last = needs.last
         env: dict[Any, ThreadArray] = {}

@@ -45,9 +45,7 @@ def _delayed(
     low: Lowering, x: ThreadArray, kept: list, axes: list, dtype: DTypeLike, f: Callable
 ) -> Delayed | None:
     """Return a reduction as a delayed array; None if the work is too small for a team.
-
-    A reduction over all of several axes first reduces all axes except the longest.
-    """
+    A reduction over all of several axes first reduces all axes except the longest."""
     s = source(low.b, x, x.shape)
     if s.work <= arrays.SHARED_ABOVE:
         return None

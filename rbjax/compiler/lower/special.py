@@ -65,9 +65,7 @@ def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
 
 def digamma(x: jax.Array) -> jax.Array:
     """Compute the digamma function, the derivative of log Gamma.
-
-    Method: reflection for x < 0.5, recurrence up to 10, then Stirling's series.
-    """
+    Method: reflection for x < 0.5, recurrence up to 10, then Stirling's series."""
     reflected = x < 0.5
     y = jnp.where(reflected, 1 - x, x)
     shift = jnp.zeros_like(x)

@@ -42,9 +42,7 @@ def _rotation(
     a: jax.Array, b: jax.Array, c: jax.Array, off: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return cosine and sine of the rotation that makes [[a, c], [c, b]] diagonal.
-
-    Unless `off`, the rotation is the identity.
-    """
+    Unless `off`, the rotation is the identity."""
     half = (b - a) / jnp.where(off, 2 * c, 1)
     t = jnp.where(half >= 0, 1.0, -1.0) / (jnp.abs(half) + jnp.sqrt(half * half + 1))
     t = jnp.where(off, t, 0.0).astype(c.dtype)
@@ -93,9 +91,7 @@ def eigh(a: jax.Array, *, lower: bool) -> tuple[jax.Array, jax.Array]:
 
 def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the singular values, in descending order, U and V^T.
-
-    An entry that is not finite makes the singular values nan.
-    """
+    An entry that is not finite makes the singular values nan."""
     if a.shape[0] < a.shape[1]:
         s, u, vt = svd(a.T, full_matrices=full_matrices)
         return s, vt.T, u.T

@@ -33,9 +33,7 @@ class Cuts:
 
 def split_block(block: ir.Block, branches: bool) -> Cuts | None:
     """Split a block into functions. Return None if it is short.
-
-    branches: whether to split the blocks of branches and of `while` loops too.
-    """
+    branches: whether to split the blocks of branches and of `while` loops too."""
     cuts, used, count = Cuts(), dict[ir.Var, set[int]](), 0
 
     def note(statement: ir.Statement, here: int) -> None:

@@ -123,9 +123,7 @@ class _Phases:
     ) -> None:
         """Move team loop k and its dependencies into the current phase, if none of them needs a
         barrier.
-
-        before: dependencies of each statement. left: the statements that are not emitted yet.
-        """
+        before: dependencies of each statement. left: the statements that are not emitted yet."""
         wanted, reached = {k}, [k]
         while reached:
             more = {j for j in before[reached.pop()] if j in left} - wanted

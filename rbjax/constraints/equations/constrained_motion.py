@@ -96,9 +96,7 @@ def range_space_problem(
     d: Driver, context: Context, tau: jax.Array, f_ext: LinkForces
 ) -> LinearProblem:
     """Set up the range-space equations A l = c - G a_f of the multipliers l, for rows G a = c.
-
-    A = G M^-1 G^T is the Delassus matrix, and a_f the acceleration without constraints.
-    """
+    A = G M^-1 G^T is the Delassus matrix, and a_f the acceleration without constraints."""
     qdd, factors = aba(d, context.links.joints, d.lanes(tau), d.prepared.gravity, f_ext)
 
     def factor(context: Context, rows: Sequence[Row]) -> Solve:

@@ -200,9 +200,7 @@ def _project(
 
     def iterate(f: Residual, first: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
         """Solve M x = force + G^T l, f(x) = 0 for x and l, from x = 0.
-
-        first: the residual f(0).
-        """
+        first: the residual f(0)."""
         x, l = delassus.solve(force, list(-first))
         for _ in range(many - 1):
             more = delassus.solve(None, list(-f(x)))

@@ -35,9 +35,7 @@ def with_weights(model: Model, dtype: Any = None) -> Model:
 
 def soft_weights(model: Model) -> tuple[Any, ...]:
     """Compute the inverse inertias (rows,) of each constraint of a model; None for a rigid one.
-
-    They are NumPy arrays if the model is constant while tracing.
-    """
+    They are NumPy arrays if the model is constant while tracing."""
     if model.execution.weights is not None:
         return model.execution.weights[3]
     return tuple(_weights(model, x) if isinstance(x, Soft) else None for x in model.constraints)

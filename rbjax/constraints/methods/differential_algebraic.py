@@ -127,9 +127,7 @@ def _with_ggl_forces(
     d: Driver, q: jax.Array, x: jax.Array, rows: Sequence[Row], mu: Sequence[Lane]
 ) -> jax.Array:
     """Return M x - G^T mu, the residual of the kinematic equation of GGL.
-
-    x is the difference of rate and velocity, and mu the multipliers of `rows`.
-    """
+    x is the difference of rate and velocity, and mu the multipliers of `rows`."""
     tau, f_ext = add_multipliers(d, rows, mu, jnp.zeros_like(x), {})
     return d.pack(rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), f_ext), x) - tau
 

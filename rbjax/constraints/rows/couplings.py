@@ -137,18 +137,14 @@ class Prescribed(Constraint):
 
 def _proportional(context: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:
     """Build the row q1 - r1 - factor (q2 - r2), with r the reference of a coordinate.
-
-    joint: (name, kind) of joint 1. driver: joint 2, a hinge.
-    """
+    joint: (name, kind) of joint 1. driver: joint 2, a hinge."""
     driven = from_reference(context, driver, "hinge")
     return from_reference(context, *joint) - driven * scalar(factor, context.q.dtype)
 
 
 def from_reference(context: Context, joint: str | int, kind: str | None = None) -> Row:
     """Build the row q - r, with r the reference of a joint of one coordinate.
-
-    Raise InputError if the kind of the joint is not `kind`.
-    """
+    Raise InputError if the kind of the joint is not `kind`."""
     _check_kind(context, joint, kind)
     start = context.model.topology.joint_q[context.model.joint(joint)]
     reference = lane(table(context.model.joints.reference, context.q.dtype), start)

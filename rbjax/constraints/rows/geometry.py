@@ -81,9 +81,7 @@ def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
 
 def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
     """Return the vector from the origin of A to the origin of B and its first two time derivatives.
-
-    They are in world axes.
-    """
+    They are in world axes."""
     return (
         B.position - A.position,
         B.velocity - A.velocity,

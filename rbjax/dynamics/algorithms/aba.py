@@ -214,9 +214,7 @@ def factorize(
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
     """Compute M^-1 tau from the factors: ABA without velocities and gravity.
-
-    `again` is an optional second copy of the factors for the outward sweep, to save registers.
-    """
+    `again` is an optional second copy of the factors for the outward sweep, to save registers."""
     ys = eliminated(d, factors, tau)
     if again is not None:
         ys = d.zip(again, d.part(ys, 1))
@@ -225,9 +223,7 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
 
 def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
     """Run the inward sweep of `solve`. Return (factor, u) per link.
-
-    u is the joint force that remains after the elimination of the subtree of the link.
-    """
+    u is the joint force that remains after the elimination of the subtree of the link."""
 
     def inward(x, children):
         factor, tau = x
@@ -239,9 +235,7 @@ def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
 
 def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
     """Run the outward sweep of `solve`: joint accelerations from (factor, u) per link.
-
-    twists: whether to return the spatial accelerations of the links too, in their own axes.
-    """
+    twists: whether to return the spatial accelerations of the links too, in their own axes."""
 
     def outward(x, parent):
         factor, u = x

@@ -61,9 +61,7 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
     """Compute, by link, the row of numbers that the last kernel of `forward_by_columns` reads.
-
-    found: the result of `accelerations`.
-    """
+    found: the result of `accelerations`."""
     d = driver(model, q.dtype)
     a, inverse_D, *U = map(d.lanes, found)
     joints = d.joints(q, None)
@@ -244,8 +242,6 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
     """Compute M^-1 x for columns x (nv, ...) by an inward and an outward sweep.
-
-    inward, outward: the ABA factors, once for each sweep.
-    """
+    inward, outward: the ABA factors, once for each sweep."""
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

@@ -72,9 +72,7 @@ def link_inertias(d: Driver, poses: Any, joints: Any) -> Any:
 
 class Coriolis(NamedTuple):
     """B = (V x* I - I V x + (I V) x-bar*) / 2, of an inertia I that moves with the twist V.
-
-    B = [K, 0; -[f], 0] with f the linear part of I V, so B V = V x* I V and B + B^T = dI/dt.
-    """
+    B = [K, 0; -[f], 0] with f the linear part of I V, so B V = V x* I V and B + B^T = dI/dt."""
 
     K: Mat3
     f: Vec3
@@ -136,9 +134,7 @@ def operands(
     d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, select: Callable | None = None, *given: Any
 ) -> Any:
     """Compute `Operands` per link at the joint accelerations `a` (per link).
-
-    If `select` is given, compute select(pose, S, operands, *given) of each link instead.
-    """
+    If `select` is given, compute select(pose, S, operands, *given) of each link instead."""
     V = link_twists(d, S, v)
     base = Motion(Vec3.zero(), -d.prepared.gravity)
     before = [_before(d.topology, i) for i in range(d.topology.nv)]

@@ -30,9 +30,7 @@ from rbjax.spatial import RigidInertia
 
 def mass_matrix_rows(d: Driver, joints: Any) -> list[list[Lane]]:
     """Compute the mass matrix M as rows of lanes.
-
-    The momentum F of the subtree of a dof for its unit rate is propagated to the root by itself.
-    """
+    The momentum F of the subtree of a dof for its unit rate is propagated to the root by itself."""
 
     def step(x, children):
         link, joint = x

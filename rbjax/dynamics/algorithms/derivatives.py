@@ -155,9 +155,7 @@ def accelerated_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> tuple[jax.Array, ForwardDynamicsDerivatives]:
     """Compute a = FD(q, v, tau) and its derivatives from checked arrays.
-
-    If the joint axes are constant (`Topology.constant_axes`), both share one ABA.
-    """
+    If the joint axes are constant (`Topology.constant_axes`), both share one ABA."""
     if not model.nv:
         none = jnp.zeros((0, 0), q.dtype)
         return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)

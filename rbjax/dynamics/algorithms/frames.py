@@ -37,9 +37,7 @@ PATH_UNROLLED_UP_TO = 24
 
 def locate(where: str, model: Model, like: jax.Array, frame: Frame) -> tuple[int, Transform]:
     """Return the body of a frame (or WORLD) and the pose of the frame in the body.
-
-    `where` is the name of the caller in messages. `like` has the dtype of the lanes.
-    """
+    `where` is the name of the caller in messages. `like` has the dtype of the lanes."""
     if isinstance(frame.body, Frame):  # of a geom or a center of mass
         frame = frame.body._replace(point=frame.point)
     try:
@@ -235,9 +233,7 @@ def _jacobian(
     columns: Callable[..., Any],
 ) -> jax.Array:
     """Compute the matrix (6, nv) with the columns columns(d, joints, link, r, moves).
-
-    `moves` is 1 for each dof that moves the link, else 0. r is the frame's origin in the link.
-    """
+    `moves` is 1 for each dof that moves the link, else 0. r is the frame's origin in the link."""
     q, v = state
     d = driver(model, q.dtype)
     link, r = locate_on_link(where, model, d, q, frame)

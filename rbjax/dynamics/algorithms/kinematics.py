@@ -216,9 +216,7 @@ def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force
 
 def dof_axes(top: Topology, link: int, joint: JointMotion) -> list[tuple[int, Motion]]:
     """Return the dofs that move a link relative to its parent, with their axes in its axes.
-
-    They are all coordinates of a flexible link at its frames, and none at its coordinates.
-    """
+    They are all coordinates of a flexible link at its frames, and none at its coordinates."""
     if joint.frame_axes is not None:
         return list(zip(top.links[link].v, joint.frame_axes, strict=True))
     return [] if joint.coordinate_of is not None else [(link, joint.S)]
@@ -253,9 +251,7 @@ class LinkMotion:
 
     def acceleration(self, link: int) -> Motion:
         """Return the angular acceleration of a link and the classical acceleration of its origin.
-
-        They are in the axes of the link, without gravity.
-        """
+        They are in the axes of the link, without gravity."""
         return self._of(ACCELERATION, link)[1]
 
     def _of(self, quantity: Quantity, link: int) -> Any:

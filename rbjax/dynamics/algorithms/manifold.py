@@ -76,9 +76,7 @@ def _with_attitudes(
     top: Any, u: list[Lane], v: list[Lane], coefficients: Callable[[Any], tuple[Lane, Lane]]
 ) -> list[Lane]:
     """Replace the angular velocities w in v by w + a u x w + b u x (u x w).
-
-    `coefficients` returns a and b from |u|^2.
-    """
+    `coefficients` returns a and b from |u|^2."""
     out: list[Lane] = []
     for span in spans(top):
         out += v[span.v]

@@ -109,9 +109,7 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
 
 def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:
     """Compute the wrench on a body from a unit of each of its ten parameters, in world axes.
-
-    `motion` is the angular velocity and the acceleration of the link, in the link's axes.
-    """
+    `motion` is the angular velocity and the acceleration of the link, in the link's axes."""
     w, alpha, lin = (link.R @ x for x in (motion[0], motion[1].ang, motion[1].lin))
     arm = body.p - link.p
     lin = lin + alpha.cross(arm) + w.cross(w.cross(arm))

@@ -43,9 +43,7 @@ from rbjax.model.links import lane
 
 class Limbs(unrolled.ListDriver):
     """The driver that unrolls the trunk of a tree, and loops over the equal limbs of each group.
-
-    The columns of a per-link value are a list for each group, over the positions in a limb.
-    """
+    The columns of a per-link value are a list for each group, over the positions in a limb."""
 
     def __init__(self, model: Model, prepared: Prepared):
         top = self.topology = model.topology

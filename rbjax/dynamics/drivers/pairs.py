@@ -67,9 +67,7 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
     """Return a function f and arrays xs to compute matrices `pair_matrix` column by column.
-
-    For slice j of xs along the first axis, f returns column j (n,) of the matrix of each pair.
-    """
+    For slice j of xs along the first axis, f returns column j (n,) of the matrix of each pair."""
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 

@@ -256,9 +256,7 @@ def _uniform(column):
 
 def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
     """Return the number of slots, and the slot of each link that needs one.
-
-    A link needs a slot if one of its children is not the next link.
-    """
+    A link needs a slot if one of its children is not the next link."""
     last: dict[int, int] = {}
     for i, parent in enumerate(parents):
         if parent != i - 1:

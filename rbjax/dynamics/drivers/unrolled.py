@@ -125,9 +125,7 @@ def inward(
 ) -> tuple[list, list]:
     """Run an unrolled inward sweep, from the leaves to the root. Return the message of each link to
     its parent, and the output of each link.
-
-    sums: initial sum of messages at each link, from other sweeps.
-    """
+    sums: initial sum of messages at each link, from other sweeps."""
     sums, messages, ys = list(sums), list(xs), list(xs)
     for i in reversed(range(len(xs)) if order is None else order):
         messages[i], ys[i] = fusion_barrier(step(xs[i], sums[i]), known=(xs[i], sums[i], known))

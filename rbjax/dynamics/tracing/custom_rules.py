@@ -50,9 +50,7 @@ def with_jvp(f: Callable, rule: Callable) -> Callable:
 
 def _custom_jvp(f: Callable, rule: Callable) -> Callable:
     """Return f with a derivative rule, for an f that returns `batch_first(results, args)`.
-
-    The arguments of the result must be `jax_arrays`.
-    """
+    The arguments of the result must be `jax_arrays`."""
     ruled = jax.custom_jvp(f)
     ruled.defjvp(lambda at, *to: batch_first(rule(at, *to), at), symbolic_zeros=True)
     return ruled
@@ -100,9 +98,7 @@ def _held(residual: Callable, held: Sequence[Any], *at: Any) -> Any:
 
 def jax_arrays(*args: Any) -> Any:
     """Return the arguments, with tracers of NumPy arrays replaced by tracers of JAX arrays.
-
-    A custom rule inside a `jit` accepts only tracers of JAX arrays (jax 0.10.2 asserts this).
-    """
+    A custom rule inside a `jit` accepts only tracers of JAX arrays (jax 0.10.2 asserts this)."""
 
     def copied(x: Any) -> Any:
         return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x

@@ -70,8 +70,6 @@ def on_each_device(
 
 def parted(x: jax.Array, axis: int, count: int) -> jax.Array:
     """Split a batch on the first axis into `count` parts on a new first axis.
-
-    The samples of a part are on its axis `axis` (0 or -1).
-    """
+    The samples of a part are on its axis `axis` (0 or -1)."""
     x = x.reshape(count, x.shape[0] // count, *x.shape[1:])
     return jnp.moveaxis(x, 1, axis) if axis else x

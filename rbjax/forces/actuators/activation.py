@@ -188,9 +188,7 @@ class Muscle(Record):
 
 def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
     """Compute the force-length factor FL of a muscle at the normalised length L.
-
-    It is half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax.
-    """
+    It is half parabolas with knots at lmin, (lmin + 1) / 2, 1, (1 + lmax) / 2, lmax."""
     a, b = 0.5 * (lmin + 1), 0.5 * (1 + lmax)
     rise = 0.5 * _square((L - lmin) / at_least(a - lmin))
     before = 1 - 0.5 * _square((1 - L) / at_least(1 - a))
@@ -210,9 +208,7 @@ def speed_curve(V: Lane, fvmax: Lane) -> Lane:
 
 def passive_curve(L: Lane, lmax: Lane) -> Lane:
     """Compute the passive force factor FP / fpmax of a muscle at the normalised length L.
-
-    It is 0 for L <= 1, half a parabola up to (1 + lmax) / 2, then its tangent.
-    """
+    It is 0 for L <= 1, half a parabola up to (1 + lmax) / 2, then its tangent."""
     width = at_least(0.5 * (1 + lmax) - 1)
     x = jnp.maximum((L - 1) / width, 0.0)
     return jnp.where(x <= 1, 0.5 * x * x, x - 0.5)

@@ -51,9 +51,7 @@ def tendon_weights(model: Model, *, every: bool = False) -> Any:
 
 def armature_updates(model: Model) -> list[tuple[jax.Array, jax.Array]]:
     """Return pairs (c, u) of the armatures of tendons, in the reference configuration:
-
-    (M + J^T m J)^-1 = M^-1 - sum of c u u^T (Sherman & Morrison 1950).
-    """
+    (M + J^T m J)^-1 = M^-1 - sum of c u u^T (Sherman & Morrison 1950)."""
     return _updated(model)[1]
 
 
@@ -96,9 +94,7 @@ def row_weights(J: jax.Array, inverse: jax.Array) -> jax.Array:
 
 def weights_with_tendons(model: Model, dtype: Any = None) -> tuple[Any, Any]:
     """Compute the inverse inertias of bodies (nb, 2) and dofs (nv,) with the armature of tendons.
-
-    Arguments are those of `inverse_weights`.
-    """
+    Arguments are those of `inverse_weights`."""
     own = model.tendons
     if own is None or not own.inertial:
         return inverse_weights(model, dtype)
