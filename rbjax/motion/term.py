@@ -171,7 +171,13 @@ class ProjectedSolver(Wrapped):
         model, begun = self.model(args), (self.start + t0, y0)
         stages = moves_stages(self.formulation)
         y1, error, dense, solver_state, result = self.solver.step(
-            _of_step(terms, begun) if stages else terms, t0, t1, y0, args, solver_state, made_jump
+            _with(terms, begun=begun) if stages else terms,
+            t0,
+            t1,
+            y0,
+            args,
+            solver_state,
+            made_jump,
         )
         t = self.start + t1
         if stages:
@@ -188,24 +194,19 @@ class ReportingSolver(Wrapped):
     """
 
     def init(self, terms, t0, t1, y0, args):
-        inner = self.solver.init(_reporting(terms), t0, t1, _with_zeros(y0), args)
+        inner = self.solver.init(_with(terms, reports=True), t0, t1, _with_zeros(y0), args)
         return inner, jnp.zeros(2, y0.q.dtype)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         inner, report = solver_state
         y1, error, dense, inner, result = self.solver.step(
-            _reporting(terms), t0, t1, _with_zeros(y0), args, inner, made_jump
+            _with(terms, reports=True), t0, t1, _with_zeros(y0), args, inner, made_jump
         )
         failed, size = jnp.abs(y1.report)
         worst = jnp.where(failed > 0, size / (t1 - t0), 0.0)
         added = jnp.stack([report[0] + (failed > 0), jnp.maximum(report[1], worst)])
         error = None if error is None else _without_report(error)
         return _without_report(y1), error, dense, (inner, jax.lax.stop_gradient(added)), result
-
-
-def _reporting(terms: Any) -> Any:
-    """Return the diffrax terms with vector fields that report the error of the contact solver."""
-    return _of_fields(terms, reports=True)
 
 
 def _with_zeros(y: State) -> State:
@@ -230,12 +231,7 @@ def solver_of(given: diffrax.AbstractSolver | None, dynamics: Dynamics) -> diffr
     return diffrax.Tsit5() if given is None else given
 
 
-def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
-    """Set the start (time, state) of the current step in the vector fields of `terms`."""
-    return _of_fields(terms, begun=begun)
-
-
-def _of_fields(terms: Any, **changes: Any) -> Any:
+def _with(terms: Any, **changes: Any) -> Any:
     """Return `terms` with fields of its vector fields changed."""
 
     def of(x: Any) -> Any:

@@ -189,11 +189,9 @@ def call_host_kernel(
     return _host_kernel.bind(*operands, results=tuple(results), name=kernel.name)
 
 
-def _lower_host_kernel(ctx, *operands, results, name: str):
-    return typed_call(name, ctx, *operands)
-
-
-mlir.register_lowering(_host_kernel, _lower_host_kernel, platform="cpu")
+mlir.register_lowering(
+    _host_kernel, lambda ctx, *xs, results, name: typed_call(name, ctx, *xs), platform="cpu"
+)
 
 
 # ------------------------------------------------------------------- self-tests

@@ -18,7 +18,6 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Primitive
 from jax.interpreters import batching, mlir
-from numpy.typing import DTypeLike
 
 from rbjax._jax_compat import (
     apply_primitive,
@@ -75,13 +74,6 @@ def _equally_varying(operands: Sequence[jax.Array]) -> list[jax.Array]:
     ]
 
 
-def result_aval(shape: tuple[int, ...], dtype: DTypeLike, operands: Sequence) -> ShapedArray:
-    """Return the aval of a result, which varies along the mesh axes of the operands."""
-    if not any(varying_axes(x) for x in operands):
-        return ShapedArray(shape, dtype)
-    return like(operands[0], shape, dtype)
-
-
 def batched_shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
     """Return the shape of an array of samples. axes: position of each axis of the batch in it."""
     sizes = {axis: n for axis, n in zip(axes, batch, strict=True) if axis is not None}
@@ -91,8 +83,11 @@ def batched_shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -
 
 @threads_p.def_abstract_eval
 def result_avals(*operands, program, batch, ins, outs, moving=None):
+    """Return the avals of the results, which vary along the mesh axes of the operands."""
+    varying = any(varying_axes(x) for x in operands)
+    aval = functools.partial(like, operands[0]) if varying else ShapedArray
     return [
-        result_aval(batched_shape(a.shape, batch, axes), a.dtype, operands)
+        aval(batched_shape(a.shape, batch, axes), a.dtype)
         for a, axes in zip(program.outputs, outs, strict=True)
     ]
 

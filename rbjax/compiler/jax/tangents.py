@@ -108,11 +108,9 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
 ad.primitive_jvps[threads_p] = _jvp
 
 
-def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins, outs):
-    return _jvp(primals, tangents, **_as_threads(program, moving, batch, ins, outs))
-
-
-ad.primitive_jvps[tangent_p] = _jvp_of_tangent
+ad.primitive_jvps[tangent_p] = lambda primals, tangents, **params: _jvp(
+    primals, tangents, **_as_threads(**params)
+)
 
 
 def _transpose(cotangents, *operands, program, moving, batch, ins, outs):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import jax
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 
 from rbjax.compiler.jax.derivatives import Atom, close, needed
 from rbjax.compiler.jax.programs import Program
@@ -89,7 +89,10 @@ def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable
     moved = [eqn for eqn in before if id(eqn) in moves]
     first = _close(before, given, outside, program)
     rest = _close([*moved, *after], [*own, *outside], jaxpr.outvars, program)
-    short = Program(first, compile_fast=True) if _is_short(first.jaxpr) else None
+    # one thread runs short equations in microseconds, but XLA compiles them slowly
+    size, count = _size(first.jaxpr.eqns), len(first.jaxpr.eqns)
+    is_short = size is not None and count >= LONG_ENOUGH and size <= SHORT
+    short = Program(first, compile_fast=True) if is_short else None
     return Program(rest, team=program.team, saves=program.saves), jaxpr_as_fun(first), short
 
 
@@ -112,12 +115,6 @@ def _close(
     consts = dict(zip(jaxpr.constvars, program.closed.consts, strict=True))
     kept = needed(eqns, outs, ins, bool(jaxpr.effects))
     return close(kept, ins, outs, consts, frozenset(jaxpr.effects))
-
-
-def _is_short(jaxpr: Jaxpr) -> bool:
-    """Return whether one thread runs these equations in microseconds, but XLA compiles slowly."""
-    size = _size(jaxpr.eqns)
-    return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
 
 
 def _size(eqns: Sequence[JaxprEqn]) -> int | None:

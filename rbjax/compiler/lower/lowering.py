@@ -162,7 +162,8 @@ class Lowering:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
 
         for var, const in zip(jaxpr.constvars, consts, strict=True):
-            held = isinstance(const, View | Delayed) or _is_objects(const)
+            entries = isinstance(const, np.ndarray) and const.dtype == object
+            held = entries or isinstance(const, View | Delayed)
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
@@ -311,10 +312,6 @@ def inner_jaxpr(eqn: Equation) -> ClosedJaxpr | None:
         if isinstance(inner, Jaxpr):
             return ClosedJaxpr(inner, ())
     return None
-
-
-def _is_objects(x: object) -> bool:
-    return isinstance(x, np.ndarray) and x.dtype == object
 
 
 def _count_reference(value: ThreadArray, change: int) -> None:

@@ -107,7 +107,8 @@ class _Phases:
         left = dict.fromkeys(range(len(statements)))
         while left:
             first = next(iter(left))
-            if self._waits(statements[first]):
+            s = statements[first]
+            if _has_phases(s) or not self.now.needs_no_barrier(s):
                 for k in list(left):
                     s = statements[k]
                     if k in left and _is_shared(s):
@@ -138,10 +139,6 @@ class _Phases:
         for j in sorted(wanted):
             self._write(statements[j])
             del left[j]
-
-    def _waits(self, s: ir.Statement) -> bool:
-        """Return whether a barrier is needed before a statement, or may be inside it."""
-        return _has_phases(s) or not self.now.needs_no_barrier(s)
 
     def _write(self, s: ir.Statement) -> None:
         now = self.now

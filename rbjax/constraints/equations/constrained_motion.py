@@ -131,14 +131,7 @@ def constrained_motion(
     right_hand_side: RightHandSide = feedback_right_hand_side,
 ) -> tuple[jax.Array, jax.Array]:
     """Compute accelerations a (nv,) and multipliers l (rows,) of one sample, from checked arrays.
-
-    Args:
-        tau: (nv,) generalized forces.
-        f_ext: forces on links.
-        alpha, beta: Baumgarte gains, 1/s.
-        method: function that sets up the linear equations.
-        right_hand_side: function that returns the residuals of the rows' equations.
-    """
+    alpha, beta: Baumgarte gains, 1/s."""
     given, rebuilt = split_tracers((model, f_ext, t, alpha, beta))
     nv = model.nv
 
@@ -336,14 +329,8 @@ class DelassusMatrix(Delassus):
 def solve_least_norm(
     A: jax.Array, c: jax.Array, B: jax.Array | float = 0.0, damping: float | None = None
 ) -> jax.Array:
-    """Solve A l = c for l of least norm.
-
-    Args:
-        A: (rows, rows) symmetric and positive semidefinite.
-        c: (rows,) right-hand side.
-        B: (rows,) diagonal of A for free bodies (`free_body_diagonal`); 0 if unknown.
-        damping: as in `factor_delassus`.
-    """
+    """Solve A l = c, with A (rows, rows) positive semidefinite, for l of least norm.
+    B: (rows,) `free_body_diagonal`; 0 if unknown. damping: as in `factor_delassus`."""
     eps, vanishing, refinements = regularization(A.dtype, damping)
     diagonal = jnp.diagonal(A)
     D = diagonal + diagonal_floor(diagonal, B, vanishing) / eps

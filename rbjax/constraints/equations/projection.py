@@ -172,14 +172,8 @@ def project_state(
     model: Model, t: Any, state: State, iterations: int | None = None, positions: bool = True
 ) -> State:
     """Project a state on its constraints.
-
-    Args:
-        model: the robot, with constraints.
-        t: time in seconds.
-        state: the state.
-        iterations: None for as many as reduce the error of a step to rounding.
-        positions: if False, project only the velocity.
-    """
+    iterations: None for as many as reduce the error of a step to rounding.
+    positions: if False, project only the velocity."""
     q, v = state.q, state.v
     many = ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
 

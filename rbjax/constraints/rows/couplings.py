@@ -26,7 +26,33 @@ from rbjax.model.links import lane
 from rbjax.model.record import check_fields, check_number, floats
 
 
-class JointPolynomial(Constraint):
+class Polynomial(Constraint):
+    """Base class of couplings x1 - r1 = sum of c_k (x2 - r2)^k of two coordinates.
+    Subclasses have the fields `driver`, coordinate 2 or None, and `coefficients` (n,)."""
+
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        shape = jnp.shape(self.coefficients)
+        if len(shape) != 1 or not shape[0]:
+            raise InputError(
+                f"{type(self).__name__}(coefficients=...): got the shape {shape}, "
+                "expected (n,) with n at least 1, c_0 first"
+            )
+
+    def polynomial(self, row: Callable[[Context, Any], Row], context: Context, own: Any) -> Row:
+        """Return the row of coordinate `own`. row: function that returns the row x - r."""
+        c = numbers(self.coefficients, context.q.dtype)
+        if self.driver is None:
+            return row(context, own) - c[0]
+        x, out = row(context, self.driver), Row.constant(c[-1])
+        for each in reversed(c[:-1]):
+            out = out * x + each
+        return row(context, own) - out
+
+
+class JointPolynomial(Polynomial):
     """A coupling of two joints, q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's
     mimic.
 
@@ -44,24 +70,9 @@ class JointPolynomial(Constraint):
     joint: str | int = eqx.field(static=True)
     driver: str | int | None = eqx.field(static=True)
     coefficients: jax.Array = eqx.field(converter=floats)
-    size = 1
-
-    def __check_init__(self) -> None:
-        check_fields(self)
-        if len(jnp.shape(self.coefficients)) != 1 or not jnp.shape(self.coefficients)[0]:
-            raise InputError(
-                f"JointPolynomial(coefficients=...): got the shape {jnp.shape(self.coefficients)}, "
-                "expected (n,) with n at least 1, c_0 first"
-            )
 
     def rows(self, context: Context) -> Sequence[Row]:
-        c = numbers(self.coefficients, context.q.dtype)
-        if self.driver is None:
-            return [from_reference(context, self.joint) - c[0]]
-        x, out = from_reference(context, self.driver), Row.constant(c[-1])
-        for each in reversed(c[:-1]):
-            out = out * x + each
-        return [from_reference(context, self.joint) - out]
+        return [self.polynomial(from_reference, context, self.joint)]
 
 
 class Gear(Constraint):

@@ -14,22 +14,21 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
+from rbjax.constraints.rows.couplings import Polynomial
 from rbjax.constraints.rows.geometry import AXES, Z, along, coordinate, distance
-from rbjax.constraints.rows.row import Constraint, Row, function_of
-from rbjax.errors import InputError
+from rbjax.constraints.rows.row import Row, function_of
 from rbjax.forces.context import Context
 from rbjax.forces.tendons.paths import Segment, segments
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
 from rbjax.lanes import Vec3
 from rbjax.model import Frame
-from rbjax.model.leaves import numbers, table
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
-from rbjax.model.record import check_fields, floats
+from rbjax.model.record import floats
 
 
-class TendonPolynomial(Constraint):
+class TendonPolynomial(Polynomial):
     """A coupling l1 - l1_0 = sum of c_k (l2 - l2_0)^k of two tendons: MuJoCo's equality/tendon.
 
     Fields:
@@ -52,24 +51,9 @@ class TendonPolynomial(Constraint):
     tendon: str | int = eqx.field(static=True)
     driver: str | int | None = eqx.field(static=True)
     coefficients: jax.Array = eqx.field(converter=floats)
-    size = 1
-
-    def __check_init__(self) -> None:
-        check_fields(self)
-        if len(jnp.shape(self.coefficients)) != 1 or not jnp.shape(self.coefficients)[0]:
-            raise InputError(
-                f"TendonPolynomial(coefficients=...): got the shape "
-                f"{jnp.shape(self.coefficients)}, expected (n,) with n at least 1, c_0 first"
-            )
 
     def rows(self, context: Context) -> Sequence[Row]:
-        c = numbers(self.coefficients, context.q.dtype)
-        if self.driver is None:
-            return [_from_reference(context, self.tendon) - c[0]]
-        x, out = _from_reference(context, self.driver), Row.constant(c[-1])
-        for each in reversed(c[:-1]):
-            out = out * x + each
-        return [_from_reference(context, self.tendon) - out]
+        return [self.polynomial(_from_reference, context, self.tendon)]
 
 
 def _from_reference(context: Context, tendon: str | int) -> Row:

@@ -49,14 +49,7 @@ def virtual_power(
     f_ext: LinkForces | None = None,
 ) -> Lane:
     """Compute the virtual power of the forces of `rnea`.
-
-    Args:
-        d: the driver.
-        joints: `d.joints(q, v, a, l)`.
-        accelerations, rates: joint accelerations and virtual rates, per link.
-        gravity: of the world.
-        f_ext: external forces on links.
-    """
+    joints: `d.joints(q, v, a, l)`. accelerations, rates: of joints, and virtual, per link."""
 
     def outward(x: Any, parent: VirtualStep) -> tuple[VirtualStep, Lane]:
         link, joint, qdd, rate, f_ext = x

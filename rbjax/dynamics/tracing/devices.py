@@ -31,7 +31,7 @@ def memory_share() -> int:
 
 
 def on_each_device(
-    f: Callable[[list], Any], args: list, axes: list[int | None], size: int, out_axis: int = 0
+    f: Callable[[list], Any], args: list, axes: list[int | None], size: int
 ) -> Callable[[list], Any]:
     """Split f over a batch into parts that each run on one device.
 
@@ -43,7 +43,6 @@ def on_each_device(
         args: examples of the arguments of f.
         axes: the batch axis of each argument, 0 or -1, or None.
         size: the size of the batch.
-        out_axis: the batch axis of every result.
     """
     parts = math.gcd(size, devices())
     if parts == 1:
@@ -59,8 +58,7 @@ def on_each_device(
         ]
 
     def joined(x: jax.Array) -> jax.Array:
-        x = jnp.moveaxis(x, 0, -2) if out_axis else x
-        return x.reshape(*x.shape[:-2], size) if out_axis else x.reshape(size, *x.shape[2:])
+        return x.reshape(size, *x.shape[2:])
 
     one = jax.eval_shape(lambda args: jax.tree.map(lambda x: x[0], split(args)), args)
     part, shared = jax.closure_convert(f, one)
