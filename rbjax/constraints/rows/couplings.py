@@ -26,33 +26,7 @@ from rbjax.model.links import lane
 from rbjax.model.record import check_fields, check_number, floats
 
 
-class Polynomial(Constraint):
-    """Base class of couplings x1 - r1 = sum of c_k (x2 - r2)^k of two coordinates.
-    Subclasses have the fields `driver`, coordinate 2 or None, and `coefficients` (n,)."""
-
-    size = 1
-
-    def __check_init__(self) -> None:
-        check_fields(self)
-        shape = jnp.shape(self.coefficients)
-        if len(shape) != 1 or not shape[0]:
-            raise InputError(
-                f"{type(self).__name__}(coefficients=...): got the shape {shape}, "
-                "expected (n,) with n at least 1, c_0 first"
-            )
-
-    def polynomial(self, row: Callable[[Context, Any], Row], context: Context, own: Any) -> Row:
-        """Return the row of coordinate `own`. row: function that returns the row x - r."""
-        c = numbers(self.coefficients, context.q.dtype)
-        if self.driver is None:
-            return row(context, own) - c[0]
-        x, out = row(context, self.driver), Row.constant(c[-1])
-        for each in reversed(c[:-1]):
-            out = out * x + each
-        return row(context, own) - out
-
-
-class JointPolynomial(Polynomial):
+class JointPolynomial(Constraint):
     """A coupling of two joints, q1 - r1 = sum of c_k (q2 - r2)^k: MuJoCo's equality/joint, URDF's
     mimic.
 
@@ -70,9 +44,14 @@ class JointPolynomial(Polynomial):
     joint: str | int = eqx.field(static=True)
     driver: str | int | None = eqx.field(static=True)
     coefficients: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        check_coefficients(self, self.coefficients)
 
     def rows(self, context: Context) -> Sequence[Row]:
-        return [self.polynomial(from_reference, context, self.joint)]
+        return [polynomial(context, from_reference, self.joint, self.driver, self.coefficients)]
 
 
 class Gear(Constraint):
@@ -144,6 +123,29 @@ class Prescribed(Constraint):
             return evaluate("Prescribed: function", self.function, None, (t,), (), context.q.dtype)
 
         return [coordinate(context, self.joint) - time(context).apply(f)]
+
+
+def check_coefficients(coupling: Constraint, coefficients: jax.Array) -> None:
+    """Raise `InputError` unless the coefficients of a polynomial are an array (n,), n > 0."""
+    shape = jnp.shape(coefficients)
+    if len(shape) != 1 or not shape[0]:
+        raise InputError(
+            f"{type(coupling).__name__}(coefficients=...): got the shape {shape}, expected (n,) "
+            "with n at least 1, c_0 first"
+        )
+
+
+def polynomial(
+    context: Context, row: Callable[..., Row], own: Any, driver: Any, coefficients: jax.Array
+) -> Row:
+    """Build the row x1 - r1 - sum of c_k (x2 - r2)^k; row(context, k) builds the row x_k - r_k."""
+    c = numbers(coefficients, context.q.dtype)
+    if driver is None:
+        return row(context, own) - c[0]
+    x, out = row(context, driver), Row.constant(c[-1])
+    for each in reversed(c[:-1]):
+        out = out * x + each
+    return row(context, own) - out
 
 
 def _proportional(context: Context, joint: tuple, driver: str | int, factor: jax.Array) -> Row:

@@ -15,9 +15,9 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from rbjax.constraints.rows.couplings import Polynomial
+from rbjax.constraints.rows.couplings import check_coefficients, polynomial
 from rbjax.constraints.rows.geometry import AXES, Z, along, coordinate, distance
-from rbjax.constraints.rows.row import Row, function_of
+from rbjax.constraints.rows.row import Constraint, Row, function_of
 from rbjax.forces.context import Context
 from rbjax.forces.tendons.paths import Segment, segments
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
@@ -25,10 +25,10 @@ from rbjax.lanes import Vec3
 from rbjax.model import Frame
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
-from rbjax.model.record import floats
+from rbjax.model.record import check_fields, floats
 
 
-class TendonPolynomial(Polynomial):
+class TendonPolynomial(Constraint):
     """A coupling l1 - l1_0 = sum of c_k (l2 - l2_0)^k of two tendons: MuJoCo's equality/tendon.
 
     Fields:
@@ -51,9 +51,14 @@ class TendonPolynomial(Polynomial):
     tendon: str | int = eqx.field(static=True)
     driver: str | int | None = eqx.field(static=True)
     coefficients: jax.Array = eqx.field(converter=floats)
+    size = 1
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        check_coefficients(self, self.coefficients)
 
     def rows(self, context: Context) -> Sequence[Row]:
-        return [self.polynomial(_from_reference, context, self.tendon)]
+        return [polynomial(context, _from_reference, self.tendon, self.driver, self.coefficients)]
 
 
 def _from_reference(context: Context, tendon: str | int) -> Row:
