@@ -1,10 +1,10 @@
 """Relative errors of rbjax and MJX against MuJoCo C (f64) over the whole test list, f64 and f32.
 
-`python -m benchmarks.accuracy.against_mujoco [--full] [--without WORD]`: 100 random states of every
+`python -m benchmarks.accuracy.against_mujoco [--full] [--only WORD]`: 100 random states of every
 loadable model and of 50 random trees with --full, else of every eighth, and of the robots of the
-figures. Models whose names have WORD keep the rows of an older run: `_humanoids` compile for an
-hour. FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of
-one state; the tables give the largest over quantities and states (f64), and the median and largest
+figures. With --only it renews the models whose names have WORD, and keeps the rows of an older run
+for the others. FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max
+|theirs| of one state; the tables give the largest over quantities and states (f64), and the median and largest
 (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
 """
 
@@ -90,7 +90,7 @@ def mjx_errors(m: mujoco.MjModel, q, v, tau, qacc) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     add_full(parser, "all models", "an eighth of them")
-    parser.add_argument("--without", help="a word in the names of models that keep older rows")
+    parser.add_argument("--only", default="", help="a word in the names of the models to renew")
     given = parser.parse_args()
     full = given.full
     sources = {name: entry.load for name, entry in MODELS.items() if name not in SINGULAR}
@@ -101,8 +101,7 @@ def main() -> None:
     if not full:
         some = {*[*sources][::8], *NAMES.values()}
         sources = {name: load for name, load in sources.items() if name in some}
-    if given.without:
-        sources = {name: load for name, load in sources.items() if given.without not in name}
+    sources = {name: load for name, load in sources.items() if given.only in name}
     rows = []
     for name in progress(sources):
         m = sources[name]()
@@ -148,7 +147,7 @@ def main() -> None:
     middle = float(np.median([r["f32 median"] for r in rows]))
     print(f"{len(rows)} models, f64 max {worst:.1e}, median of f32 medians {middle:.1e}", over)
     name = sized("accuracy", full)
-    print(save(name, rows + (others(name, rows, ["model"]) if given.without else [])))
+    print(save(name, rows + (others(name, rows, ["model"]) if given.only else [])))
 
 
 if __name__ == "__main__":
