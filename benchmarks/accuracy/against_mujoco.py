@@ -4,8 +4,8 @@
 loadable model and of 50 random trees with --full, else of every eighth, and of the robots of the
 figures. With --only it renews the models whose names have WORD, and keeps the rows of an older run
 for the others. FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max
-|theirs| of one state; the tables give the largest over quantities and states (f64), and the median and largest
-(f32). For the robots of the figures they also show MJX's f32 forward dynamics.
+|theirs| of one state; the tables give the largest over quantities and states (f64), and the median
+and largest (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
 """
 
 from __future__ import annotations
