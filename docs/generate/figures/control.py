@@ -8,8 +8,7 @@ from docs.generate.figures.kinds import Figure, Number, Ratio
 H100, H200, CORE = "nvidia-h100-80gb-hbm3", "nvidia-h200", "amd-epyc"
 PROBLEMS = {
     "arm-wrapped": "arm, wrapped angles", "arm": "arm", "arm-rest": "arm to rest",
-    "double-pendulum": "double pendulum by DDP", "double-pendulum-sqp": "double pendulum",
-    "quadrotor": "quadrotor", "quadrotor-bounded": "bounded quadrotor", "cart-pole": "cart-pole",
+    "double-pendulum": "double pendulum by DDP", "quadrotor": "quadrotor", "cart-pole": "cart-pole",
 }  # fmt: skip
 
 
@@ -18,25 +17,19 @@ def _crocoddyl() -> dict[str, Figure]:
     counts = f"cpu-iteration-counts-{CORE}"
     for short, problem in PROBLEMS.items():
         where, name = {"problem": problem}, f"control.{short}"
-        columns = {"iterations": "iterations", "six-digits": "to 6 digits",
-                   "as-good": "to their cost", "theirs": "their iterations"}  # fmt: skip
-        for key, column in columns.items():
-            out[f"{name}.{key}"] = Number(counts, column, where)
-        out[f"{name}.cost"] = Number(counts, "cost", where, digits=6)
-        out[f"{name}.their-cost"] = Number(counts, "their cost", where, digits=6)
-    out["control.quadrotor-bounded.theirs-six-digits"] = Number(
-        counts, "theirs to 6 digits", {"problem": PROBLEMS["quadrotor-bounded"]}
-    )
+        out[f"{name}.as-good"] = Number(counts, "to their cost", where)
+        out[f"{name}.theirs"] = Number(counts, "their iterations", where)
+    bounded = {"problem": "bounded quadrotor"}
+    out["control.bounded.six-digits"] = Number(counts, "to 6 digits", bounded)
+    out["control.bounded.theirs"] = Number(counts, "theirs to 6 digits", bounded)
+    pendulum = {"problem": PROBLEMS["double-pendulum"]}
     out["control.double-pendulum.cheaper"] = Ratio(
-        out["control.double-pendulum.their-cost"], out["control.double-pendulum.cost"], 2
+        Number(counts, "their cost", pendulum), Number(counts, "cost", pendulum), 2
     )
     for problem in ("arm", "quadrotor"):
         where = {"problem": problem, "engine": "rbjax"}
         out[f"control.{problem}.ratio"] = Number(f"cpu-optimal-control-{CORE}", "ratio", where,
                                                  digits=2)  # fmt: skip
-        out[f"control.{problem}.ms"] = Number(
-            f"cpu-optimal-control-{CORE}", "ms an iteration", where, digits=2
-        )
     return out
 
 
@@ -67,12 +60,8 @@ def _others() -> dict[str, Figure]:
 
     out: dict[str, Figure] = {
         "mpc.hz": Number(mpc, "hz", fast),
-        "mpc.median": Number(mpc, "median_ms", fast, digits=2),
-        "mpc.p99": Number(mpc, "p99_ms", fast, digits=2),
-        "mpc.worst": Number(mpc, "worst_ms", fast, digits=2),
         "mpc.late": Number(mpc, "late", fast),
         "mpc.ticks": Number(mpc, "ticks", fast),
-        "ik.us": Number(ik, "us", all_at_once, digits=2),
         "ik.solved": Number(ik, "solved", all_at_once, scale=100),
         "ik.over-optik": Number(ik, "over the fastest peer", all_at_once, digits=2),
         "ik.gpu.f64": Number(gpu_ik, "M/s", {"dtype": "float64"}),
@@ -80,7 +69,6 @@ def _others() -> dict[str, Figure]:
         "dijkstra.least": Number(dijkstra, "ratio", best=min),
         "dijkstra.most": Number(dijkstra, "ratio"),
         "dijkstra.gpu": Number(search, together),
-        "dijkstra.gpu.s": Number(search, "all s"),
         "policy.least": Number(f"gpu-policy-{H100}", "seconds", {"method": "actor_critic"}, min,
                                digits=2),
         "policy.most": Number(f"gpu-policy-{H100}", "seconds", {"method": "actor_critic"},
@@ -91,8 +79,6 @@ def _others() -> dict[str, Figure]:
     for task in ("cart_pole", "acrobot"):
         where = {"task": task}
         out[f"swing-up.{task}"] = Number(f"gpu-swing-up-{H100}", "solved", where, scale=100)
-        out[f"swing-up.{task}.s"] = Number(f"gpu-swing-up-{H100}", "seconds", where, digits=2)
-        out[f"swing-up.{task}.core"] = Number(f"cpu-swing-up-{CORE}", "solved", where, scale=100)
     return out
 
 
@@ -116,7 +102,6 @@ def _end_states() -> dict[str, Figure]:
         where = {"precision": bits}
         out[f"end-states.{bits}"] = Number(file, "converged", where, sum)
         out[f"end-states.{bits}.runs"] = Number(file, "guesses", where, sum)
-        out[f"end-states.{bits}.violation"] = Number(file, "largest violation", where, digits=1)
     return out
 
 

@@ -20,10 +20,8 @@ def _simulated() -> dict[str, Figure]:
     gpu = "gpu-identification-nvidia-h200"
     out: dict[str, Figure] = {
         "sysid.arm.error": Number(file, "error", arm, digits=1),
-        "sysid.arm.first": Number(file, "first_s", arm, digits=2),
         "sysid.arm.again": Number(file, "again_s", arm, digits=2),
         "sysid.arm.mujoco": Number(file, "again_s", arm | {"engine": "mujoco.sysid"}, digits=2),
-        "sysid.arm.mujoco.error": Number(file, "error", arm | {"engine": "mujoco.sysid"}, digits=1),
         "sysid.quadruped.inside": Number(file, "inside", quadruped),
         "sysid.quadruped.cpu": Number(file, "first_cpu_s", quadruped, digits=2),
         "sysid.quadruped.gpu": Number(gpu, "first_s", quadruped, digits=2),
@@ -66,10 +64,7 @@ def _real() -> dict[str, Figure]:
         where = {"floor": floor}
         out[f"floors.{floor}.encoders"] = Number(floors, "mean", where | encoders, digits=2)
         fitted = where | {"model": ("up to harmonic 1", "up to harmonic 5, 1 with speed")}
-        for column in ("mean", "each"):
-            out[f"floors.{floor}.{column}"] = Number(
-                floors, lambda row, column=column: abs(row[column]), fitted, digits=2
-            )
+        out[f"floors.{floor}.mean"] = Number(floors, lambda row: abs(row["mean"]), fitted, digits=2)
     return out
 
 

@@ -76,10 +76,6 @@ def _algorithms() -> dict[str, Figure]:
             out[f"cpu.older.{short}.{robot}"] = Number(
                 f"cpu-older-{CORE}", "speedup", where, digits=2
             )
-        where = {"robot": robot, "algorithm": tuple(ALGORITHMS.values()), "bits": 64}
-        out[f"cpu.older.least.{robot}"] = Number(
-            f"cpu-older-{CORE}", "speedup", where, min, digits=2
-        )
     return out
 
 

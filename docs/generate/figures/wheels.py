@@ -15,9 +15,7 @@ def _rates() -> dict[str, Figure]:
         here = KNOWN | {"what": robot}
         gpu, core = "gpu-wheeled-nvidia-h200", "cpu-wheeled-amd-epyc"
         out[f"wheels.gpu.{short}"] = Number(gpu, "M/s", here)
-        out[f"wheels.gpu.{short}.limit"] = Number(gpu, "of limit", here, scale=100)
         out[f"wheels.core.{short}"] = Number(core, "M steps/s", here)
-        out[f"wheels.core.{short}.limit"] = Number(core, "of limit", here, digits=2)
     return out
 
 

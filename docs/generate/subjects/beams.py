@@ -1,7 +1,7 @@
 """Beams: errors and times compared with Exudyn, evaluations on a GPU, single precision."""
 
-from docs.generate.tables import Column as C
-from docs.generate.tables import Pivot, Table
+from docs.generate.subjects.tables import Column as C
+from docs.generate.subjects.tables import Pivot, Table
 
 TABLES = {
     "exudyn": Table(
