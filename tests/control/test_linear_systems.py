@@ -21,6 +21,7 @@ from rbjax.control.linear import (
     unreachable_directions,
 )
 from rbjax.errors import InputError
+from tests.composing import check_composes
 from tests.control.problems import random_system
 from tests.tolerances import relative_error
 
@@ -150,3 +151,10 @@ def test_poles_by_falling_real_part():
         assert np.abs(rates - rate).min() < 1e-12
     slope = jax.jacfwd(lambda a: poles(a * jnp.diag(jnp.array([1.0, 2.0, 3.0]))).real)(1.0)
     np.testing.assert_allclose(slope, [3.0, 2.0, 1.0], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_discretisation_composes():
+    systems = [random_system(k, 3, 2)[:2] for k in range(3)]
+    xs = [np.stack(x) for x in zip(*systems, strict=True)]
+    check_composes(lambda A, B: discretise(A, B, 0.2), xs)

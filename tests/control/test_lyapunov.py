@@ -10,6 +10,7 @@ import scipy.linalg
 from rbjax.control import LinearStatus
 from rbjax.control.linear import lyapunov
 from rbjax.errors import InputError
+from tests.composing import check_composes
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(0)
@@ -57,3 +58,11 @@ def test_on_the_edge_and_beyond(discrete):
     A = DECAY + 4 * np.eye(N)
     found = lyapunov(A, Q, discrete=discrete, method="kronecker")
     assert relative_error(found.X, scipys(A, Q, discrete)) < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("discrete", [False, True])
+def test_composes(discrete):
+    A = CONTRACTION if discrete else DECAY
+    xs = [np.stack([A, 0.9 * A, 0.8 * A]), np.stack([Q, Q.T, Q + Q.T])]
+    check_composes(lambda A, Q: lyapunov(A, Q, discrete=discrete).X, xs)

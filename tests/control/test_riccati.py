@@ -7,6 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control.linear import backward, constant_problem, parallel_backward, roll
+from tests.composing import check_composes
 from tests.control.problems import random_problem
 from tests.oracles import load
 from tests.tolerances import F32_MEDIAN, relative_error
@@ -111,6 +112,17 @@ def test_the_hessian_needs_no_definite_control_cost():
     assert found.success
     assert relative_error(rolled(z, found, jnp.asarray(start))[1], by_kkt(z, start)[1]) < 1e-9
     assert not parallel(z).success  # which needs one
+
+
+def test_gains_compose():
+    """Under jit, vmap and both modes of differentiation."""
+    batch = [random_problem(k, 3, 2, 1) for k in range(3)]
+    xs = [np.stack([np.asarray(getattr(z, f)) for z in batch]) for f in ("A", "B", "d", "R", "S")]
+
+    def gains(A, B, d, R, S):
+        return backward(batch[0]._replace(A=A, B=B, d=d, R=R, S=S))[:4]
+
+    check_composes(gains, xs)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
