@@ -29,7 +29,7 @@ from rbjax.sysid.estimators.identification import identifiability, identify
 from rbjax.sysid.estimators.identified import Identified, free_run
 from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
 from rbjax.sysid.estimators.prediction import Predicted, prediction_error
-from rbjax.sysid.judgement.causes import Cause, Diagnosis
+from rbjax.sysid.judgement.corrections import Cause, Diagnosis
 from rbjax.sysid.judgement.diagnosis import diagnose
 from rbjax.sysid.judgement.repeated_fits import MonteCarlo, monte_carlo
 from rbjax.sysid.judgement.report_page import report

@@ -43,11 +43,18 @@ def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[R
     return list(runs)
 
 
-def floats(
-    where: str, name: str, x: Any, fix: str = "an array of numbers", *, finite: bool = False
-) -> np.ndarray:
-    """Convert x to an array of float64. NaN is allowed unless `finite`."""
-    return real_array(where, name, x, fix, finite=finite)
+def positive_numbers(where: str, name: str, given: Any, count: int, of: str) -> np.ndarray:
+    """Convert one finite number above 0, or one for each of `count`, to (count,).
+
+    of: what there are `count` of, such as "column", for the message.
+    """
+    x = real_array(where, name, given, "numbers above 0")
+    if x.shape not in ((), (count,)) or not (x > 0).all():
+        raise InputError(
+            f"{where}: {name} is {shown(given)}, expected one number above 0, or {count}, one a "
+            f"{of}"
+        )
+    return np.broadcast_to(x, (count,)).copy()
 
 
 def check_options(

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rbjax.sensors.columns import Columns
 from rbjax.sysid.simulation.simulation_error import HUBER, SimulationError
-from rbjax.sysid.simulation.triangular_factor import triangle_of
-from rbjax.sysid.statistics.rank import project_out_others
+from rbjax.sysid.statistics.rank import project_out_others, triangle_of
 from rbjax.sysid.statistics.residual_tests import explained
 
 RNG = np.random.default_rng(0)

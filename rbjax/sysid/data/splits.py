@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_array
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.sysid.arguments import floats, recordings_of
+from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.data.recording import Recording
 
 
@@ -64,7 +64,7 @@ def split(
     """
     integer("split", "seed", seed, least=0)
     recordings = recordings_of("split", recordings, empty=True)
-    shares = floats("split", "(train, validation, test)", [train, validation, test], "numbers")
+    shares = real_array("split", "(train, validation, test)", [train, validation, test])
     if not (shares >= 0).all() or abs(shares.sum() - 1) > 1e-9 or train <= 0:
         raise InputError(
             f"split: shares are {train}, {validation}, {test}, expected numbers from 0 to 1 that "

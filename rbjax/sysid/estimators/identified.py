@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, instance
+from rbjax.arguments import choice, instance, real_array
 from rbjax.display import Display, displayed, number, plural
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, positive_numbers, recordings_of, setup_of
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.verdict import Verdict, without_outliers
@@ -265,13 +265,8 @@ def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
             f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "
             "of each sensor that was recorded"
         )
-    sigma = floats("free_run", f"noise[{sensor!r}]", noise[sensor], "standard deviations")
-    if sigma.shape not in ((), weights.shape[-1:]) or not (sigma > 0).all():
-        raise InputError(
-            f"free_run: noise[{sensor!r}] is {sigma.tolist()}, expected one number above 0, or "
-            f"{weights.shape[-1]}, one a column"
-        )
-    return sigma
+    name = f"noise[{sensor!r}]"
+    return positive_numbers("free_run", name, noise[sensor], weights.shape[-1], "column")
 
 
 def _stated_noise(recordings: Sequence[Recording], sensor: str) -> float | None:
@@ -320,6 +315,5 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
             f"identify: {where} is a fit of {len(values)} parameters, expected the same "
             f"{len(names)} in the same order; only one of the two has: {', '.join(other) or 'none'}"
         )
-    return floats(
-        "identify", where, [*values.values(), *corrections], "a fit of finite numbers", finite=True
-    )
+    x = [*values.values(), *corrections]
+    return real_array("identify", where, x, "a fit of finite numbers")

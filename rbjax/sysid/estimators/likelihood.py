@@ -36,8 +36,8 @@ from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import state_of_readings
-from rbjax.sysid.simulation.triangular_factor import triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
+from rbjax.sysid.statistics.rank import triangle_of
 
 #: largest allowed distance of a sample from an instant of the grid, in periods
 OFF = 1e-2

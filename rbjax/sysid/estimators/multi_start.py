@@ -14,12 +14,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.sysid.arguments import check_options, floats, recordings_of, setup_of
+from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified, Options
@@ -243,7 +243,9 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
     if np.ndim(given) == 0:
         integer("many_starts", "guesses", given, least=1)
         return draw_guesses(sought, setup, int(given), spread, seed)
-    points = floats("many_starts", "guesses", given, "a number, or an array (K, n)")
+    points = real_array(
+        "many_starts", "guesses", given, "a number, or an array (K, n)", finite=False
+    )
     if points.ndim != 2 or points.shape[1] != n or not len(points):
         raise InputError(
             f"many_starts: guesses has shape {points.shape}, expected (K, {n}), or a number"

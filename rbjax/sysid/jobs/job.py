@@ -26,7 +26,7 @@ from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.multi_start import many_starts
 from rbjax.sysid.jobs.keys import KEYS, NEEDED, check, check_joints, index_of, shorten
-from rbjax.sysid.judgement.causes import Diagnosis
+from rbjax.sysid.judgement.corrections import Diagnosis
 from rbjax.sysid.judgement.diagnosis import diagnose
 from rbjax.sysid.judgement.report_page import report
 from rbjax.sysid.parameters.unknown_vector import Unknowns

@@ -1,6 +1,6 @@
-"""Corrections of recordings, and the clock rate of the sensors relative to the commands.
+"""Mistakes in recordings, the result of `diagnose`, and their corrections.
 
-A recording y with a clock that runs at 1 / (1 + b) of the right rate has a growing lag relative to
+The corrected clock is that of the sensors, relative to that of the commands. A recording y with a clock that runs at 1 / (1 + b) of the right rate has a growing lag relative to
 a simulated motion s. Wrong parameters cause a constant lag, gain and offset. Each column is fitted
 by
 
@@ -16,15 +16,59 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from rbjax.display import displayed
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.simulation.traces import FEW, Trace, Traces
 
 Correction = Callable[[Recording], Recording]
 #: (run, sensor, column index, column name) -> mask of the samples to drop, from the start time on
 Lost = dict[tuple[str, str, int, str], np.ndarray]
+
+
+@displayed
+@dataclass(frozen=True)
+class Cause:
+    """One mistake in the recordings.
+
+    Fields:
+        kind: "sign", "swap", "clock", "outliers" or "dead".
+        channels, columns: names of the affected channels and columns.
+        before, after: error without and with the correction.
+        sentence: description for users.
+    """
+
+    kind: str
+    channels: tuple[str, ...]
+    columns: tuple[str, ...]
+    before: float
+    after: float
+    sentence: str
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+@displayed
+@dataclass(frozen=True)
+class Diagnosis:
+    """The mistakes in the recordings of a fit.
+
+    Fields:
+        causes: the mistakes, sorted by the reduction of the error.
+        recordings: the recordings with all corrections.
+    """
+
+    causes: tuple[Cause, ...]
+    recordings: tuple[Recording, ...]
+
+    def summary(self) -> str:
+        """Return the causes as text, one sentence a line."""
+        none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
+        return "\n".join(map(str, self.causes)) or none + "error"
 
 
 def drop_samples(runs: Sequence[Recording], lost: Lost) -> list[Recording]:

@@ -26,9 +26,10 @@ from rbjax.sysid.data.recording_checks import FAR, hampel
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.estimators.staged_fit import FIRST_WEIGHTS
-from rbjax.sysid.judgement.causes import Cause, Diagnosis
 from rbjax.sysid.judgement.corrections import (
+    Cause,
     Correction,
+    Diagnosis,
     Lost,
     drop_samples,
     estimate_clock_rate,

@@ -19,7 +19,7 @@ from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.data.recording_checks import findings
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.judgement.causes import Diagnosis
+from rbjax.sysid.judgement.corrections import Diagnosis
 from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics.comparisons import HeldOut
 from rbjax.sysid.statistics.residual_tests import Whiteness, whiteness

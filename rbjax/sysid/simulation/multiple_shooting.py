@@ -29,7 +29,7 @@ from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run, stack_runs
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import SimulationError, sum_of_squares
-from rbjax.sysid.simulation.triangular_factor import triangle_of
+from rbjax.sysid.statistics.rank import triangle_of
 
 #: successive continuity weights; at 1 a gap counts as much as the same error of a whole segment
 CONTINUITY_WEIGHTS = (0.1, 1.0, 10.0)

@@ -30,8 +30,8 @@ from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
-from rbjax.sysid.simulation.triangular_factor import triangle_of
 from rbjax.sysid.statistics.fit_statistics import Column, Rows
+from rbjax.sysid.statistics.rank import triangle_of
 
 #: with loss="huber", the cost grows linearly above this residual in sigma
 HUBER = 1.345

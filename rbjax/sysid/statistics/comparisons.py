@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from rbjax.arguments import instance, real_number
+from rbjax.arguments import instance, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.sysid.arguments import floats
 from rbjax.sysid.statistics.residual_tests import ALPHA, explained, whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # largest ratio of the errors on unseen and fitted data
@@ -300,7 +299,8 @@ def _is_number(x: Any) -> bool:
 def _checked(name: str, given: Any) -> dict[str, np.ndarray]:
     instance("held_out", name, given, Mapping, "a dict recording -> residuals")
     return {
-        run: np.atleast_1d(floats("held_out", f"{name}[{run!r}]", x)) for run, x in given.items()
+        run: np.atleast_1d(real_array("held_out", f"{name}[{run!r}]", x, finite=False))
+        for run, x in given.items()
     }
 
 

@@ -19,11 +19,11 @@ import jax
 import numpy as np
 from scipy import linalg, special, stats
 
-from rbjax.arguments import choice, instance, real_number
+from rbjax.arguments import choice, instance, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rank_tolerances import rank_tolerance as tolerance_of
-from rbjax.sysid.arguments import floats, names_of
+from rbjax.sysid.arguments import names_of, positive_numbers
 
 NULL_SHARE = 1e-5  # a smaller share of a gradient in the null space counts as rounding
 
@@ -196,7 +196,8 @@ def estimates(
         >>> [round(x, 3) for x in line.interval("slope")]
         [2.0, 0.032, 1.938, 2.062]
     """
-    names, values = names_of("estimates", "names", names), floats("estimates", "values", values)
+    names = names_of("estimates", "names", names)
+    values = real_array("estimates", "values", values, finite=False)
     rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
     J = _rows("jacobian", jacobian, 2)
     m, n = J.shape
@@ -208,7 +209,7 @@ def estimates(
     instance("estimates", "bounds", bounds, Mapping | None, "a dict name -> (low, high)")
     for name, limits in (bounds or {}).items():
         choice("parameter", name, names)
-        low_high = floats("estimates", f"bounds of {name}", limits, "(low, high)")
+        low_high = real_array("estimates", f"bounds of {name}", limits, "(low, high)", finite=False)
         if low_high.shape != (2,) or not low_high[0] < low_high[1]:
             raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")
     real_number(
@@ -227,13 +228,7 @@ def estimates(
                 "expected more samples, or the noise"
             )
         noise, dof = max(np.sqrt(r @ r / (m - rank)), np.finfo(float).tiny), m - rank
-    sigma = floats("estimates", "noise", noise, "standard deviations")
-    if sigma.shape not in ((), (m,)) or not (np.isfinite(sigma) & (sigma > 0)).all():
-        raise InputError(
-            f"estimates: noise has shape {sigma.shape}, expected one positive standard deviation, "
-            f"or {m}, one a row"
-        )
-    sigma = np.broadcast_to(sigma, (m,))
+    sigma = positive_numbers("estimates", "noise", noise, m, "row")
     lengths, s, V, null = decomposed(J / sigma[:, None], rank_tolerance)
     half = V / s / lengths[:, None]
     free = null / lengths[:, None]
@@ -288,7 +283,7 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
 
 def _rows(name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
     """Check that x is a finite array with `ndim` axes and one row for each measurement."""
-    x = floats("estimates", name, x, finite=True)
+    x = real_array("estimates", name, x)
     if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
         due = "(m, n)" if ndim == 2 else f"({rows},)"
         raise InputError(f"estimates: {name} has shape {x.shape}, expected {due}")

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from scipy import signal, special
 
-from rbjax.arguments import integer
+from rbjax.arguments import integer, real_array
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.sysid.arguments import floats
 
 ALPHA = 0.01  # significance level
 
@@ -83,7 +82,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
         >>> whiteness(noise).white, whiteness(np.cumsum(noise)).white
         (True, False)
     """
-    r = floats("whiteness", "residual", residual)
+    r = real_array("whiteness", "residual", residual, finite=False)
     if r.ndim != 1 or len(r) < 10 or not np.isfinite(r).all() or np.ptp(r) == 0:
         raise InputError(
             f"whiteness: residual has shape {r.shape}, expected (samples,), at least 10 finite "

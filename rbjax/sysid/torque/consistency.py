@@ -32,7 +32,7 @@ from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.sysid.arguments import floats
+from rbjax.sysid.arguments import positive_numbers
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
     model_log_cholesky,
@@ -167,12 +167,7 @@ def consistent(
     names = parameter_names(model, joint_terms)
     integer(where, "max_steps", max_steps, least=1)
     eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
-    spread = floats(where, "spread", spread, "a number above 0, such as 0.3 for 30 %")
-    if spread.shape not in ((), (model.nb,)) or not ((spread > 0) & np.isfinite(spread)).all():
-        raise InputError(
-            f"{where}: spread is {spread}, expected a number above 0, such as 0.3 for 30 %, or "
-            f"({model.nb},) of them"
-        )
+    spread = positive_numbers(where, "spread", spread, model.nb, "body")
     linear = weighted(eq)
     if eq.noise is None:
         least = LEAST_NOISE * np.sqrt((eq.tau**2).mean())

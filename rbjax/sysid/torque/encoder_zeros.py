@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.sysid.arguments import floats
+from rbjax.sysid.arguments import positive_numbers
 from rbjax.sysid.status import FitStatus, HasStatus
 from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.rows import TorqueRows
@@ -105,9 +105,9 @@ def regress_with_zeros(
     names, tau = rows[0].names, np.concatenate([r.tau for r in rows])
     p, (N, k) = len(names), tau.shape
     changes = [f"{r.name}.zero[{i}]" for r in rows for i in range(k)]
-    prior = np.zeros(p) if prior is None else _numbers(where, "prior", prior, (p,))
+    prior = np.zeros(p) if prior is None else _parameters(where, "prior", prior, p)
     if noise is not None:
-        noise = _noise(where, noise, k)
+        noise = positive_numbers(where, "noise", noise, k, "torque")
     zeros = np.stack([r.zeros for r in rows])
     lengths = [*(len(r.t) for r in rows), *(1 for _ in rows)]
     parameters, base, sd = prior, None, np.full(k, tau.std()) if noise is None else noise
@@ -127,7 +127,6 @@ def regress_with_zeros(
         if noise is None:
             sd = np.sqrt((off**2).sum(0) * k / (N * k - found.beta.size))
     by_name = {r.name: z for r, z in zip(rows, zeros, strict=True)}
-    sd = np.broadcast_to(np.asarray(sd, float), (k,))
     squares = float(((off / sd) ** 2).sum())
     done = step >= LEAST and moved <= DONE
     return WithZeros(found, parameters, by_name, sd, squares, step, FitStatus.of(done))
@@ -178,8 +177,8 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     where = "zeros_of"
     (rows,) = _checked(where, [rows])
     real_number(where, "spread", spread, "a positive angle or length", above=0.0)
-    parameters = _numbers(where, "parameters", parameters, (len(rows.names),))
-    sd = np.broadcast_to(_noise(where, noise, rows.tau.shape[1]), rows.tau.shape[1:])
+    parameters = _parameters(where, "parameters", parameters, len(rows.names))
+    sd = positive_numbers(where, "noise", noise, rows.tau.shape[1], "torque")
     J = np.einsum("nkpz,p->nkz", rows.slopes, parameters) / sd[:, None]
     off = rows.residual(parameters) / sd
     n = J.shape[-1]
@@ -188,26 +187,15 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     return rows.zeros + np.linalg.lstsq(J, off, rcond=None)[0]
 
 
-def _noise(where: str, noise: Any, k: int) -> Array:
-    x = _numbers(where, "noise", noise, (), (k,))
-    if not (x > 0).all():
-        raise InputError(f"{where}: noise is {x.tolist()}, expected standard deviations above 0")
+def _parameters(where: str, name: str, given: Any, p: int) -> Array:
+    x = real_array(where, name, given)
+    if x.shape != (p,):
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected ({p},)")
     return x
 
 
-def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
-    x = floats(where, name, x, "numbers")
-    if x.shape not in shapes or not np.isfinite(x).all():
-        raise InputError(
-            f"{where}: {name} has shape {x.shape}, expected {' or '.join(map(str, shapes))}, finite"
-        )
-    return x
-
-
-def _checked(where: str, rows: Sequence[TorqueRows]) -> list[TorqueRows]:
-    given: Any = rows
-    several = isinstance(given, (list, tuple))
-    rows = list(given) if several else [given]  # the check below reports a wrong type
+def _checked(where: str, given: Any) -> list[TorqueRows]:
+    rows = list(given) if isinstance(given, (list, tuple)) else [given]
     if not rows or not all(isinstance(r, TorqueRows) for r in rows):
         raise InputError(
             f"{where}: rows is {[type(r).__name__ for r in rows]}, expected the `TorqueRows` of at "

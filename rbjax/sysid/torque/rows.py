@@ -22,12 +22,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, instance
+from rbjax.arguments import choice, instance, real_array
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.model import Model
-from rbjax.sysid.arguments import floats
 from rbjax.sysid.data.filtering import check_cutoff, differentiate, low_pass
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.statistics.precision import cast, in_double
@@ -252,7 +251,7 @@ def _slope(
 
 def _zeros(where: str, model: Model, zeros: Any) -> Array:
     fix = f"({model.nv},) finite numbers in rad or m"
-    z = floats(where, "zeros", np.zeros(model.nv) if zeros is None else zeros, fix, finite=True)
+    z = real_array(where, "zeros", np.zeros(model.nv) if zeros is None else zeros, fix)
     if z.shape != (model.nv,):
         raise InputError(f"{where}: zeros is {zeros!r}, expected {fix}")
     return z
