@@ -70,13 +70,7 @@ def test_limits_of_every_kind_hold(arm):
     )  # fmt: skip
     found = quiet(start(), regressor, limits, samples=50, rounds=8, steps=40)
     assert found.success
-    assert set(found.worst) == {
-        "position",
-        "speed",
-        "acceleration",
-        "torque",
-        "own",
-    }
+    assert set(found.worst) == {"position", "speed", "acceleration", "torque", "own"}
     assert found.value < found.start_value - 0.5
     q, v, a = found.motion(jnp.linspace(0, 6, 333))
     assert (q >= np.array([-1.5, -2.0]) - 1e-6).all() and (q <= np.array([1.2, 2.0]) + 1e-6).all()

@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import (
-    Channel,
-    FitStatus,
-    Identified,
-    Recording,
-    Unknown,
-    identify,
-    monte_carlo,
-)
+from rbjax.sysid import Channel, FitStatus, Identified, Recording, Unknown, identify, monte_carlo
 
 
 @functools.cache

@@ -26,8 +26,7 @@ def motions(model, n, seed=0):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["small", *(pytest.param(f"tree:{k}", marks=pytest.mark.slow) for k in range(6))],
+    "name", ["small", *(pytest.param(f"tree:{k}", marks=pytest.mark.slow) for k in range(6))]
 )
 def test_torques_of_inverse_dynamics(name):
     """On trees with free and ball joints, several joints on a body, welded bodies."""

@@ -28,11 +28,7 @@ from rbjax.sysid.estimators.staged_fit import StagedFit
 from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
 from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.setup import Grid, Setup
-from rbjax.sysid.simulation.simulation_error import (
-    Programs,
-    SimulationError,
-    sum_of_squares,
-)
+from rbjax.sysid.simulation.simulation_error import Programs, SimulationError, sum_of_squares
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.status import FitStatus
 

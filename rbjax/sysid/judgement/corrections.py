@@ -1,8 +1,8 @@
 """Mistakes in recordings, the result of `diagnose`, and their corrections.
 
-The corrected clock is that of the sensors, relative to that of the commands. A recording y with a clock that runs at 1 / (1 + b) of the right rate has a growing lag relative to
-a simulated motion s. Wrong parameters cause a constant lag, gain and offset. Each column is fitted
-by
+The corrected clock is that of the sensors, relative to that of the commands. A recording y with a
+clock that runs at 1 / (1 + b) of the right rate has a growing lag relative to a simulated motion s.
+Wrong parameters cause a constant lag, gain and offset. Each column is fitted by
 
     y(t) ~ c + a s((1 + b) t) + d s'((1 + b) t)
 

@@ -177,8 +177,7 @@ def _parameters(found: Identified) -> list[str]:
     return [
         element("h2", "Parameters"),
         picture(
-            draw_intervals(found),
-            "Estimates with 95 % intervals, and the first guesses (rings)",
+            draw_intervals(found), "Estimates with 95 % intervals, and the first guesses (rings)"
         ),
         table(("parameter", "first guess", "estimate", "95 % interval", "sigma"), rows),
     ]
