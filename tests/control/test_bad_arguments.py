@@ -205,7 +205,7 @@ TABLE = {
     "unreachable_directions": (C.linear.unreachable_directions, {
         "model": CART, "reach": C.linear.controllability(np.eye(4), np.eye(4)),
     }, {
-        "model": model(), "reach": [3, "x", C.linear.controllability(TWO, ONE)], "least": share(),
+        "model": model(), "reach": [3, "x", C.linear.controllability(TWO, ONE)],
     }),
     "poles": (C.linear.poles, {"A": TWO, "B": ONE, "K": np.ones((1, 2))}, {
         "A": array(2, 2), "B": array(2, 1), "K": [*array(1, 2), None],
@@ -215,7 +215,7 @@ TABLE = {
     }),
     "margins": (C.linear.margins, {"A": TWO, "B": ONE, "K": np.ones((1, 2))}, {
         "A": array(2, 2), "B": array(2, 1), "K": array(1, 2), "dt": positive(),
-        "frequencies": count(), "decades": ["x", -1.0, np.nan],
+        "frequencies": count(),
     }),
     "kalman_gain": (C.linear.kalman_gain, {"A": TWO, "C": ONE.T, "W": np.eye(2), "V": np.eye(1)}, {
         "A": array(2, 2), "C": array(1, 2), "W": array(2, 2), "V": array(1, 1),

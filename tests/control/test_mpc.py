@@ -89,7 +89,6 @@ def test_as_a_policy_of_rollout_and_with_a_clock():
     assert abs(float(x.q[0] - goal.q[0])) < 0.05
     timing = act.timing()
     assert timing.calls == 30 and 0 < timing.median <= timing.p99 <= timing.worst
-    assert act.histogram(5)[0].sum() == 30
 
 
 def test_a_closed_loop_has_ticks_and_a_state_of_the_system():

@@ -77,7 +77,7 @@ CASES = {
     "many_starts": (FITTED, WRONG_FIT | {
         "guesses": [0, "x", None, [[1.0, 2.0]], [[-1.0]], [[NAN]], 1.5],
         "spread": [0, -1, NAN, "x", None], "seed": [-1, "x", None, 1.5],
-        "first_steps": [0, "x"], "finalists": [0, "x"], "loss": ["x", 5], START: ["x", 5],
+        "finalists": [0, "x"], "loss": ["x", 5], START: ["x", 5],
     }),
     "squares": (FITTED, WRONG_FIT | {
         "mode": ["x", 5], "memory": [0, -1, "x", True], "loss": ["x", 5], START: ["x", 5],
@@ -115,7 +115,7 @@ CASES = {
         "names": [5, None, ["a"], ["a", "a"], [1, 2]], "values": ["x", [1.0], None],
         "jacobian": [*NUMBER, J * NAN, J[0]], "noise": ["x", 0, -1, NAN, [1.0, 2.0]],
         "bounds": [{"c": (0, 1)}, 5, "x", {"a": 5}, {"a": (1, 0)}],
-        "rank_tolerance": [0, "x", 2, NAN], "dof": ["x", 0, NAN],
+        "dof": ["x", 0, NAN],
     }),
     "equations": ({"W": J, "tau": R, "names": ["a", "b"]}, {
         "W": [*NUMBER, J * NAN, J * 1j, J[:3], J[0]], "tau": ["x", None, R[:3], R * NAN],

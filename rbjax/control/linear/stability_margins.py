@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import integer
 from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.linear.lyapunov_equation import is_stable
@@ -28,6 +28,7 @@ from rbjax.dynamics.arguments import check_step
 
 CROSSINGS = 16  # maximum number of crossings of each kind
 HALVINGS = 50
+DECADES = 3.0  # of the grid below the slowest and above the fastest rate
 
 
 @displayed
@@ -48,9 +49,7 @@ class Margins(NamedTuple):
     stable: jax.Array
 
 
-def margins(
-    A: Any, B: Any, K: Any, dt: Any = None, *, frequencies: int = 2000, decades: float = 3.0
-) -> Margins:
+def margins(A: Any, B: Any, K: Any, dt: Any = None, *, frequencies: int = 2000) -> Margins:
     """Compute the margins of u = -K x at each input, with the other loops closed.
 
     Args:
@@ -58,8 +57,8 @@ def margins(
         B: (n, m).
         K: (m, n).
         dt: seconds of a step, if x+ = A x + B u; None in continuous time.
-        frequencies: number of points of the grid.
-        decades: extent of the grid below the slowest and above the fastest rate.
+        frequencies: number of points of the grid, from a thousandth of the slowest rate to a
+            thousand times the fastest.
 
     Returns:
         `Margins`.
@@ -80,17 +79,14 @@ def margins(
     A, B, K = check_matrices("margins", ("A", A, "nn"), ("B", B, "nm"), ("K", K, "mn"))
     step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
     integer("margins", "frequencies", frequencies, least=2)
-    real_number("margins", "decades", decades, least=0.0, most=30.0, traced=True)
-    return _margins(A, B, K, step, frequencies, decades)
+    return _margins(A, B, K, step, frequencies)
 
 
-@functools.partial(compiled, static_argnums=(4, 5))
-def _margins(
-    A: jax.Array, B: jax.Array, K: jax.Array, step: Any, frequencies: int, decades: float
-) -> Margins:
+@functools.partial(compiled, static_argnums=4)
+def _margins(A: jax.Array, B: jax.Array, K: jax.Array, step: Any, frequencies: int) -> Margins:
     closed = A - product(B, K)
     stable = is_stable(closed, step is not None)
-    w = _grid(A, closed, step, frequencies, decades)
+    w = _grid(A, closed, step, frequencies)
 
     def of(i: jax.Array) -> tuple[jax.Array, ...]:
         b, k = B[:, i], K[i]
@@ -103,15 +99,15 @@ def _margins(
     )  # fmt: skip
 
 
-def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
+def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int) -> jax.Array:
     """Return a logarithmic grid of frequencies (points,), rad/s, around the rates of A and of the
     closed loop."""
     if dt is not None:  # up to the Nyquist frequency
-        return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
+        return jnp.logspace(-2 - DECADES, 0, points, dtype=A.dtype) * (math.pi / dt)
     fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))
     slow = 1 / jnp.linalg.norm(jnp.linalg.inv(closed))
     slow = jnp.where(jnp.isfinite(slow) & (slow > 0), slow, fast)
-    low, high = jnp.log10(slow) - decades, jnp.log10(fast) + decades
+    low, high = jnp.log10(slow) - DECADES, jnp.log10(fast) + DECADES
     return 10 ** (low + (high - low) * jnp.linspace(0, 1, points, dtype=A.dtype))
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance, real_number
+from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
@@ -25,6 +25,8 @@ from rbjax.dynamics.arguments import check_model, check_step
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_not_negative
 from rbjax.model import Model
+
+LEAST = 0.05  # least entry of a direction that is described, relative to its largest one
 
 
 @displayed
@@ -132,13 +134,12 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     return Reach(rank, P, outside, jnp.where(rank > 0, weakest, 0.0))
 
 
-def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
+def unreachable_directions(model: Model, reach: Reach) -> list[str]:
     """Describe the directions outside of a subspace with the names of a model's joints.
 
     Args:
         model: the robot with the states dq, dv, dx_e.
         reach: result of `controllability` or `observability`; not traced.
-        least: omit entries of a direction below this fraction of its largest entry.
 
     Returns:
         A text per direction, such as "1.00 velocity of hinge - 0.31 position of slide". If several
@@ -158,7 +159,6 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
     check_model("unreachable_directions", model)
     expected = "what controllability or observability returns"
     instance("unreachable_directions", "reach", reach, Reach, expected)
-    real_number("unreachable_directions", "least", least, least=0.0, most=1.0, traced=True)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(
@@ -170,7 +170,7 @@ def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -
     texts = []
     for row in _reduced(missing.T):
         row = row / np.abs(row).max()
-        order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= least]
+        order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= LEAST]
         row = row * np.sign(row[order[0]])
         parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
         signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]

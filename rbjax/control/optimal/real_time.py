@@ -94,7 +94,3 @@ class RealTime:
         late = int((ms > 1e3 * float(self.controller.dt)).sum())
         return Timing(len(ms), float(np.median(ms)), float(np.quantile(ms, 0.99)), float(ms.max()),
                       late)  # fmt: skip
-
-    def histogram(self, bins: int = 20) -> tuple[np.ndarray, np.ndarray]:
-        """Return a histogram of the durations in ms: counts (bins,) and edges (bins + 1,)."""
-        return np.histogram(np.asarray(self._ns) / 1e6, bins)

@@ -107,7 +107,6 @@ def many_starts(
     guesses: int | Any = 32,
     spread: float = 1.0,
     seed: int = 0,
-    first_steps: int = 8,
     finalists: int = 4,
     grid: Grid | None = None,
     estimate_initial_state: bool | None = None,
@@ -127,8 +126,7 @@ def many_starts(
             up to spread times their scale, and log-Cholesky coordinates of inertias up to spread /
             2. Parameters with two bounds are anywhere between them.
         seed: seed of the random guesses.
-        first_steps: number of evaluations of each guess before the best are selected.
-        finalists: number of guesses that continue.
+        finalists: number of guesses that continue, the best after eight evaluations of each.
         grid, estimate_initial_state, loss, progress: options of `identify`.
         more: other arguments of `identify`, for the fit from the best minimum.
 
@@ -160,8 +158,7 @@ def many_starts(
     setup = cast(given, np.float64)
     sought = Unknowns.of("many_starts", unknowns, setup)
     check_options("many_starts", loss, estimate_initial_state)
-    for name, count in (("first_steps", first_steps), ("finalists", finalists)):
-        integer("many_starts", name, count, least=1)
+    integer("many_starts", "finalists", finalists, least=1)
     integer("many_starts", "seed", seed, least=0)
     spread = real_number("many_starts", "spread", spread, "a number above 0", above=0.0)
     points = _guesses(guesses, sought, setup, spread, seed)
@@ -172,7 +169,7 @@ def many_starts(
     starts = [np.append(p, np.zeros(of.size - len(p))) for p in points]
     with progress_line("many_starts", progress) as say:
         say(f"{len(points)} guesses")
-        first = search_together(of, starts, prior_weights=SHORT, max_evaluations=first_steps)
+        first = search_together(of, starts, prior_weights=SHORT, max_evaluations=8)
         costs = np.array([least.cost for least in first])
         if not np.isfinite(costs).any():
             raise InputError(

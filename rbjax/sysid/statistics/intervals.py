@@ -22,7 +22,7 @@ from scipy import linalg, special, stats
 from rbjax.arguments import choice, instance, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.rank_tolerances import rank_tolerance as tolerance_of
+from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sysid.arguments import names_of, positive_numbers
 
 NULL_SHARE = 1e-5  # a smaller share of a gradient in the null space counts as rounding
@@ -162,7 +162,6 @@ def estimates(
     residual: Any = None,
     dof: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    rank_tolerance: float | None = None,
 ) -> Estimates:
     """Compute the covariance of the parameters of a least-squares fit, for their intervals.
 
@@ -177,11 +176,10 @@ def estimates(
         residual: (m,) residuals, if the noise is unknown.
         dof: degrees of freedom of `noise` if it is an estimate, such as m - n. None: inf.
         bounds: name -> (low, high), such as (0, inf) for positive parameters.
-        rank_tolerance: relative singular value that counts as zero, for columns of unit length.
-            None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
 
     Returns:
-        `Estimates`.
+        `Estimates`. A relative singular value below 1e-9 (float32: 1e-4), for columns of unit
+        length, counts as zero.
 
     Raises:
         InputError: wrong shapes, values that are not finite, or neither noise nor residual.
@@ -198,7 +196,7 @@ def estimates(
     """
     names = names_of("estimates", "names", names)
     values = real_array("estimates", "values", values, finite=False)
-    rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
+    tolerance = tolerance_for(jacobian)
     J = _rows("jacobian", jacobian, 2)
     m, n = J.shape
     if not len(names) == len(set(names)) == n == values.size:
@@ -212,16 +210,12 @@ def estimates(
         low_high = real_array("estimates", f"bounds of {name}", limits, "(low, high)", finite=False)
         if low_high.shape != (2,) or not low_high[0] < low_high[1]:
             raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")
-    real_number(
-        "estimates", "rank_tolerance", rank_tolerance, "a number above 0, at most 1", above=0.0,
-        most=1.0,
-    )  # fmt: skip
     real_number("estimates", "dof", np.inf if dof is None else dof, above=0.0, finite=False)
     if noise is None:
         if residual is None:
             raise InputError("estimates: neither noise nor residual, expected one of them")
         r = _rows("residual", residual, 1, m)
-        rank = decomposed(J, rank_tolerance)[2].shape[1]
+        rank = decomposed(J, tolerance)[2].shape[1]
         if m <= rank:
             raise InputError(
                 f"estimates: {m} residuals for {rank} parameters leave no noise to estimate, "
@@ -229,7 +223,7 @@ def estimates(
             )
         noise, dof = max(np.sqrt(r @ r / (m - rank)), np.finfo(float).tiny), m - rank
     sigma = positive_numbers("estimates", "noise", noise, m, "row")
-    lengths, s, V, null = decomposed(J / sigma[:, None], rank_tolerance)
+    lengths, s, V, null = decomposed(J / sigma[:, None], tolerance)
     half = V / s / lengths[:, None]
     free = null / lengths[:, None]
     free = linalg.qr(free, mode="economic")[0] if free.size else free
@@ -242,7 +236,7 @@ def estimates(
 
 def tolerance_for(jacobian: Any) -> float:
     """Return the rank tolerance for the dtype of a Jacobian."""
-    return tolerance_of("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
+    return rank_tolerance("unknowns", jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
 
 
 def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:

@@ -113,21 +113,21 @@ class Combinations:
         """Compute the base parameters beta (r,) from parameters (n,)."""
         return self.matrix @ np.asarray(values, float)
 
-    def term(self, k: int, digits: int = 4) -> str:
+    def term(self, k: int) -> str:
         """Format combination k as a sum, such as "link1.Izz + joint1.armature - 0.25 link2.m"."""
         parts = [self.names[self.kept[k]]]
         for j, x in zip(self.dropped, self.K[k], strict=True):
             if x:
-                size = f"{abs(x):.{digits}g}"
+                size = f"{abs(x):.4g}"
                 factor = "" if size == "1" else f"{size} "
                 parts.append(f"{'-' if x < 0 else '+'} {factor}{self.names[j]}")
         return " ".join(parts)
 
-    def terms(self, digits: int = 4) -> tuple[str, ...]:
+    def terms(self) -> tuple[str, ...]:
         """Format all combinations as sums."""
-        return tuple(self.term(k, digits) for k in range(self.rank))
+        return tuple(self.term(k) for k in range(self.rank))
 
-    def summary(self, digits: int = 4) -> str:
+    def summary(self) -> str:
         """Return the identifiable and unidentifiable parameters as text, one sentence a line."""
         n, (least, most) = len(self.names), self.gap
         kinds = len(self.single), self.rank - len(self.single), len(self.hidden)
@@ -142,7 +142,7 @@ class Combinations:
             if self.K[k].any():
                 partners = int((self.K[k] != 0).sum())
                 rest = "neither by itself" if partners == 1 else "none of them by itself"
-                lines.append(f"{self.term(k, digits)} is identifiable; {rest}.")
+                lines.append(f"{self.term(k)} is identifiable; {rest}.")
         if self.hidden:
             lines.append(f"Without effect: {', '.join(self.hidden)}.")
         return "\n".join(lines)
