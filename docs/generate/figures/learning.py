@@ -23,6 +23,13 @@ def _steps(algorithm: str) -> Number:
     return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first)
 
 
+def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:
+    """The return of a saved policy."""
+    where = {"task": task, "trained_with": trained, "physics": physics, "options": options}
+    return Number("policies-amd-epyc", "return", where)
+
+
+RANDOMISED = "iterations=3, randomise=True"
 FIGURES: dict[str, Figure] = {
     "envs.go1": _rate("go1_joystick_flat"),
     "envs.go1.faster": Ratio(
@@ -33,4 +40,10 @@ FIGURES: dict[str, Figure] = {
         _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
     ),
     "training.steps-ratio": Ratio(_steps("ppo"), _steps("shac"), 2),
+    "policy.go1": _policy("go1_joystick_flat", "", "rbjax"),
+    "policy.go1.mujoco": _policy("go1_joystick_flat", "", "MuJoCo C"),
+    "policy.g1": _policy("g1_joystick", RANDOMISED, "rbjax"),
+    "policy.g1.mujoco": _policy("g1_joystick", RANDOMISED, "MuJoCo C"),
+    "policy.g1.changed": _policy("g1_joystick", RANDOMISED, "rbjax", "randomise=True"),
+    "policy.g1.plain.changed": _policy("g1_joystick", "iterations=3", "rbjax", "randomise=True"),
 }
