@@ -1,6 +1,7 @@
 """Numbers of README, the pages and the charts equal those of benchmarks/results."""
 
 import doctest
+import re
 
 import pytest
 
@@ -10,6 +11,7 @@ from docs.generate.subjects import TABLES, bars, tables
 from docs.generate.tutorials import pages as tutorials
 from rbjax import style
 from tests import tolerances
+from tests.docs.pages import DOCS, prose
 
 
 def test_typed_numbers_equal_the_results():
@@ -43,6 +45,35 @@ def test_charts_have_the_colours_of_rbjax():
         style.TEAL,
     )
     assert (bars.INK, bars.GRID) == (style.INK, style.GRID)
+
+
+#: a speed or a ratio of speeds, such as "1.5x", "12 us" and "3 million"
+SPEED = re.compile(r"(?<![\w.])\d[\d.,]*(?:x\b| ?(?:us|ns|million|M steps|M/s)\b)(?!<!-- =)")
+
+
+def unmarked(text: str) -> str:
+    """A text without programs, formulas and numbers that name their figure."""
+    return re.sub(r"`[^`]*`", "", figures.TYPED.sub("", prose(text)))
+
+
+@pytest.mark.parametrize("folder", ["guides", "howto", "start", "theory"])
+def test_no_speed_is_typed(folder):
+    """A speed on these pages is a figure."""
+    for page in sorted((DOCS / folder).rglob("*.md")):
+        assert not SPEED.findall(unmarked(page.read_text())), page
+
+
+def test_no_measured_number_of_the_goals_is_typed():
+    """Cells of the columns behind "asked" and of "below" have no other numbers."""
+    heads, checked = [], 0
+    for line in unmarked((DOCS / "develop" / "goals.md").read_text()).splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if "|" in line else []
+        heads = cells if cells and not heads else heads if cells else []
+        for head, cell in zip(heads[1:], cells[1:], strict=True):
+            if head not in ("asked", "test") and cell not in (head, "---"):
+                checked += 1
+                assert not re.search(r"(?<![A-Za-z])\d", cell), line
+    assert checked > 100
 
 
 def test_a_wrong_number_is_found(tmp_path):

@@ -23,6 +23,7 @@ def _simulated() -> dict[str, Figure]:
         "sysid.arm.again": Number(file, "again_s", arm, digits=2),
         "sysid.arm.mujoco": Number(file, "again_s", arm | {"engine": "mujoco.sysid"}, digits=2),
         "sysid.quadruped.inside": Number(file, "inside", quadruped),
+        "sysid.quadruped.unknowns": Number(file, "unknowns", quadruped),
         "sysid.quadruped.cpu": Number(file, "first_cpu_s", quadruped, digits=2),
         "sysid.quadruped.gpu": Number(gpu, "first_s", quadruped, digits=2),
         "sysid.quadruped.gpu.again": Number(gpu, "again_s", quadruped, digits=2),
