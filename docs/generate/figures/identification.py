@@ -78,5 +78,7 @@ FIGURES = _simulated() | _real() | {
         Number(WRONG, "error", OUTLIERS | {"loss": "huber"}),
         2,
     ),
-    "wrong.corrected": Number(WRONG, "error, corrected", scale=100, digits=1),
+    "wrong.corrected": Number(
+        WRONG.replace("leg", "quadruped"), "error, corrected", scale=100, digits=1
+    ),
 }  # fmt: skip

@@ -5,7 +5,7 @@ from docs.generate.subjects.tables import Pivot, Table
 
 TABLES = {
     "f64 and f32": Table(
-        ("accuracy-*",),
+        ("accuracy-amd-*",),
         (
             C("model"),
             C("nv", "dof"),

@@ -3,6 +3,14 @@
 from docs.generate.subjects.tables import Column as C
 from docs.generate.subjects.tables import Table
 
+
+def _named(row: dict) -> str:
+    """The causes that were named; of one kind in many joints, their number."""
+    causes = row["named"].split("; ")
+    kind = " ".join(causes[0].split()[:2])
+    return row["named"] if len(causes) < 3 else f"{kind} of {len(causes)} joints"
+
+
 TABLES = {
     "identification": Table(
         ("cpu-identification-*", "gpu-identification-*"),
@@ -80,7 +88,7 @@ TABLES = {
             C(lambda row: "leg" if "leg" in row["file"] else "quadruped", "robot"),
             C("wrong", "mistake"),
             C("loss"),
-            C("named"),
+            C(_named, "named"),
             C("error", digits=2),
             C("error, corrected", digits=2),
             C("seconds", digits=2),
