@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -117,28 +116,16 @@ class InertiaBoxFluid(Element):
 
     def loads(self, context: Context) -> Loads:
         """Compute the drag on the box of each body."""
-        com = context.model.bodies.com[np.array(self.bodies)]
-        wind, axes = (
-            in_lanes(self.wind, context),
-            rotations(table(self.orientation, context.q.dtype)),
-        )
-
-        def dragged(frame: Frame, axes: Mat3, com: Vec3, drag: _Drag) -> Loads:
-            box = frame.then(Transform(axes, com))
-            return box.push_own(drag.wrench(relative_twist(box, wind)))
-
-        return on_each(context, self.bodies, dragged, axes, com, self._drag(context))
+        return _loads(context, self.wind, self.bodies, *self._boxes(context))
 
     def slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of each box."""
-        com = context.model.bodies.com[np.array(self.bodies)]
+        return _slopes(context, self.wind, self.bodies, *self._boxes(context))
+
+    def _boxes(self, context: Context) -> tuple[Mat3, Any, _Drag]:
+        """Return axes, centers and drag of the boxes."""
         axes = rotations(table(self.orientation, context.q.dtype))
-        wind, out = in_lanes(self.wind, context), list[Slope]()
-        given = axes, com, self._drag(context)
-        for frame, (turn, center, drag) in frames_of(context, self.bodies, *given):
-            box = frame.then(Transform(turn, center))
-            out += wrench_slopes(box, drag.wrench, relative_twist(box, wind), context.q.dtype)
-        return out
+        return axes, context.model.bodies.com[np.array(self.bodies)], self._drag(context)
 
     def _drag(self, context: Context) -> _Drag:
         """Compute the drag coefficients of all boxes. Each lane is an array over the bodies."""
@@ -191,6 +178,31 @@ def relative_twist(frame: Frame, wind: Vec3) -> Motion:
     if all(map(is_zero, wind)):
         return V
     return Motion(V.ang, V.lin - frame.rotation.T @ wind)
+
+
+def _loads(
+    context: Context, wind: Any, bodies: Sequence[int], axes: Mat3, position: Any, own: Any
+) -> Loads:
+    """Compute the loads of the wrenches `own.wrench(V)` on shapes of bodies, at their twists V in
+    the fluid."""
+    flow = in_lanes(wind, context)
+
+    def acted(frame: Frame, axes: Mat3, position: Vec3, own: Any) -> Loads:
+        here = frame.then(Transform(axes, position))
+        return here.push_own(own.wrench(relative_twist(here, flow)))
+
+    return on_each(context, bodies, acted, axes, position, own)
+
+
+def _slopes(
+    context: Context, wind: Any, bodies: Sequence[int], axes: Mat3, position: Any, own: Any
+) -> list[Slope]:
+    """Compute the damping of the same wrenches."""
+    flow, out = in_lanes(wind, context), list[Slope]()
+    for frame, (turn, at, one) in frames_of(context, bodies, axes, position, own):
+        here = frame.then(Transform(turn, at))
+        out += wrench_slopes(here, one.wrench, relative_twist(here, flow), context.q.dtype)
+    return out
 
 
 def wrench_slopes(
@@ -275,34 +287,22 @@ class EllipsoidFluid(Element):
 
     def loads(self, context: Context) -> Loads:
         """Compute the forces on each ellipsoid."""
-        wind, axes = (
-            in_lanes(self.wind, context),
-            rotations(table(self.orientation, context.q.dtype)),
-        )
-
-        def acted(frame: Frame, axes: Mat3, position: Vec3, own: _Ellipsoid) -> Loads:
-            here = frame.then(Transform(axes, position))
-            return here.push_own(_wrench(relative_twist(here, wind), own))
-
-        return on_each(context, self.bodies, acted, axes, self.position, self._ellipsoids(context))
+        return _loads(context, self.wind, self.bodies, *self._placed(context))
 
     def slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of each ellipsoid."""
-        return self._slopes(context, self._ellipsoids(context))
+        return _slopes(context, self.wind, self.bodies, *self._placed(context))
 
     def dissipative_slopes(self, context: Context) -> list[Slope]:
         """Compute the damping of the drag, without lift and added mass."""
         lift = dict[str, Any](kutta=0.0, magnus=0.0, mass=Vec3.zero(), inertia=Vec3.zero())
-        return self._slopes(context, self._ellipsoids(context)._replace(**lift))
+        axes, position, own = self._placed(context)
+        return _slopes(context, self.wind, self.bodies, axes, position, own._replace(**lift))
 
-    def _slopes(self, context: Context, own: _Ellipsoid) -> list[Slope]:
+    def _placed(self, context: Context) -> tuple[Mat3, Any, _Ellipsoid]:
+        """Return axes, positions and force coefficients of the ellipsoids."""
         axes = rotations(table(self.orientation, context.q.dtype))
-        wind, out = in_lanes(self.wind, context), list[Slope]()
-        given = self.bodies, axes, self.position, own
-        for frame, (turn, position, own) in frames_of(context, *given):
-            here, force = frame.then(Transform(turn, position)), partial(_wrench, own=own)
-            out += wrench_slopes(here, force, relative_twist(here, wind), context.q.dtype)
-        return out
+        return axes, self.position, self._ellipsoids(context)
 
     def _ellipsoids(self, context: Context) -> _Ellipsoid:
         """Compute the force coefficients. Each lane is an array over the ellipsoids."""
@@ -352,23 +352,22 @@ class _Ellipsoid(NamedTuple):
     mass: Vec3
     inertia: Vec3
 
+    def wrench(self, V: Motion) -> Force:
+        """Compute the fluid forces on an ellipsoid at a twist, in its axes at its center."""
+        w, v = V.ang, V.lin
+        p, h = self.mass.entrywise(v), self.inertia.entrywise(w)
+        turning = mul(self.density, safe_sqrt(_squared(self.moments.entrywise(w))))
+        force = p.cross(w) + w.cross(v) * self.magnus - v * self.viscous_force
+        if not is_zero(_squared(v)):
+            force = force + _quadratic(v, self)
+        return Force(p.cross(v) + h.cross(w) - w * add(self.viscous_torque, turning), force)
+
 
 def _moment(length: Lane, radius: Lane) -> Lane:
     """Compute the moment of drag 8 pi / 15 l r^4 of an ellipsoid about an axis. l is the semi-axis
     along this axis, and r the larger one of the other two."""
     square = radius * radius
     return 8.0 / 15.0 * math.pi * length * square * square
-
-
-def _wrench(V: Motion, own: _Ellipsoid) -> Force:
-    """Compute the fluid forces on an ellipsoid at a twist, in its axes at its center."""
-    w, v = V.ang, V.lin
-    p, h = own.mass.entrywise(v), own.inertia.entrywise(w)
-    turning = mul(own.density, safe_sqrt(_squared(own.moments.entrywise(w))))
-    force = p.cross(w) + w.cross(v) * own.magnus - v * own.viscous_force
-    if not is_zero(_squared(v)):
-        force = force + _quadratic(v, own)
-    return Force(p.cross(v) + h.cross(w) - w * add(own.viscous_torque, turning), force)
 
 
 def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
