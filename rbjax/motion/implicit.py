@@ -35,7 +35,7 @@ from rbjax.solvers import radau_iia
 from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damp_error, solve
 from rbjax.solvers.constrained.simplified import weight, weights
 from rbjax.solvers.groups import unwrap
-from rbjax.solvers.multistep import basis, slopes_at_one
+from rbjax.solvers.multistep import BackwardDifference
 from rbjax.solvers.root_finding import mark_failed, step_result
 from rbjax.solvers.runge_kutta import ImplicitRungeKutta
 from rbjax.solvers.steps import AbstractGroupSolver, weighted_sums
@@ -300,18 +300,8 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         equations, start = initial_equations(dynamics, model, forces, first + t0, y0)
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)
-        nodes = jnp.concatenate([jnp.array([1.0, 0.0], ts.dtype), (ts - t0) / h])
-        weights = basis(nodes[1:])  # of y0, whose increment is zero, and of the past increments
-        predicted = weighted_sums(weights[1:].sum(1), past)  # the extrapolation to theta = 1
-        nodes, past = nodes[:-1], past[:-1]
-        slopes = slopes_at_one(nodes).astype(past.dtype)
-        known = weighted_sums(slopes[2:], past)
-        # h Q'(t1) = slopes_0 u1 + known
-        one = weight(1 / slopes[0])
-        base = start.y - known / slopes[0]
-        found = solve(equations, h, (first + t0 + h)[None], base[None], one, start)
-        u = (h * found.rates[0] - known) / slopes[0]
-        rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
-        share = (1 / (1 - (ts[-1] - t0) / h)).astype(u.dtype)
-        coefficients = weighted_sums(rows.T, jnp.concatenate([u[None], past]))
-        return Step(u, share * (u - predicted), self._padded(coefficients), found.ok)
+        q = BackwardDifference.of((ts - t0) / h, past)
+        base = start.y - q.known / q.slope
+        found = solve(equations, h, (first + t0 + h)[None], base[None], weight(1 / q.slope), start)
+        u, error, coefficients = q.result(h * found.rates[0])
+        return Step(u, error, self._padded(coefficients), found.ok)

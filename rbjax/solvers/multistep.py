@@ -80,6 +80,36 @@ class Step(NamedTuple):
     ok: Any
 
 
+class BackwardDifference(NamedTuple):
+    """The formula h Q'(t1) = slope u + known of BDF, for the increment u of the state in a step."""
+
+    nodes: jax.Array  # (n,) times of the interpolated states in steps, 1 and 0 first
+    past: jax.Array  # (n - 2, size) increments of the past states
+    predicted: jax.Array  # (size,) their extrapolation
+    slope: jax.Array
+    known: jax.Array  # (size,)
+    share: jax.Array  # weight of u - predicted in the error estimate
+
+    @classmethod
+    def of(cls, times: jax.Array, past: jax.Array) -> BackwardDifference:
+        """times: (n,) times of the past states in units of the step, with its start at 0."""
+        nodes = jnp.concatenate([jnp.array([1.0, 0.0], times.dtype), times])
+        weights = basis(nodes[1:])  # row 0 is the current state, whose increment is zero
+        predicted = weighted_sums(weights[1:].sum(1), past)  # polynomials evaluated at 1
+        nodes, past = nodes[:-1], past[:-1]  # the extrapolation has one state more
+        slopes = slopes_at_one(nodes).astype(past.dtype)
+        share = (1 / (1 - times[-1])).astype(past.dtype)
+        known = weighted_sums(slopes[2:], past)
+        return cls(nodes, past, predicted, slopes[0], known, share)
+
+    def result(self, k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return u, its error and the coefficients of the dense output, from k = h f(t1, y1)."""
+        u = (k - self.known) / self.slope
+        rows = jnp.delete(basis(self.nodes), 1, axis=0)[:, 1:]
+        coefficients = weighted_sums(rows.T, jnp.concatenate([u[None], self.past]))
+        return u, self.share * (u - self.predicted), coefficients
+
+
 class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
     """Base class of multistep methods: history, and a one-step method until the history is full."""
 
@@ -287,25 +317,13 @@ class BDF(AbstractMultistep):
         return Step(u, error, self._starter.polynomial(k), ok)
 
     def formula(self, f, h, here, history):
-        nodes = self._nodes(here.t, h, history)
-        nodes = jnp.concatenate([jnp.array([1.0, 0.0], here.t.dtype), nodes])
-        past = history.values - here.y
-        weights = basis(nodes[1:])  # row 0 is y0, whose increment is zero; then the past
-        predicted = weighted_sums(weights[1:].sum(1), past)  # polynomials evaluated at 1
-        nodes, past = nodes[:-1], past[:-1]
-        slopes = slopes_at_one(nodes).astype(here.y.dtype)
-        known = weighted_sums(slopes[2:], past)
-
-        # h Q'(t1) = slopes_0 (y1 - y0) + known = k
+        q = BackwardDifference.of(self._nodes(here.t, h, history), history.values - here.y)
         found, ok = solve(
-            f, h, (here.t + h)[None], here.y - known / slopes[0], 1 / slopes[None, :1], here,
-            (slopes[0] * predicted + known)[None], self.root_finder, self.root_find_max_steps,
+            f, h, (here.t + h)[None], here.y - q.known / q.slope, 1 / q.slope[None, None], here,
+            (q.slope * q.predicted + q.known)[None], self.root_finder, self.root_find_max_steps,
         )  # fmt: skip
-        u = (found[0] - known) / slopes[0]
-        rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
-        share = 1 / (1 - (history.ts[-1] - here.t) / jnp.where(h == 0, 1.0, h))
-        error = mark_failed(ok, share.astype(u.dtype) * (u - predicted))
-        return Step(u, error, weighted_sums(rows.T, jnp.concatenate([u[None], past])), ok)
+        u, error, coefficients = q.result(found[0])
+        return Step(u, mark_failed(ok, error), coefficients, ok)
 
 
 def adams_bashforth(order: int) -> Adams:

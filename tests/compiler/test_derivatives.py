@@ -76,7 +76,7 @@ def test_cotangents_are_those_of_jax(name):
     weighed = tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in program.outputs)
     back = Linearised.of(program.closed, (True, True)).transposed(weighed)
     assert back is not None
-    closed = back.closed()
+    closed = back()
     check_jaxpr(closed.jaxpr)
     found, pull = jax.vjp(lambda *a: of_floats(f(*a)), X, Y)
     bars = [jnp.cos(1.0 + x) for x in found]
