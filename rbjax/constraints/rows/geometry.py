@@ -46,12 +46,7 @@ def time(context: Context) -> Row:
     Returns:
         A `Row`, s.
 
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
-        >>> float(rb.constraints.time(now).value)
-        0.0
+    See `coordinate` for an example.
     """
     return Row(context.t, 1.0, Loads(), 0.0)
 
@@ -105,13 +100,7 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
     Returns:
         Three `Row`s, m.
 
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
-        >>> A, B = now.body("upper"), now.body("lower")
-        >>> [round(float(row.value), 3) + 0.0 for row in rb.constraints.displacement(A, B)]
-        [0.0, 0.0, -1.0]
+    See `along` for an example.
     """
     d, rate, acceleration = _relative(A, B)
     return [
@@ -164,15 +153,7 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
     Returns:
         A `Row`, the product of the units of u and w.
 
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
-        >>> A, B = now.body("upper"), now.body("lower")
-        >>> from rbjax.lanes import Vec3
-        >>> z = Vec3(0.0, 0.0, 1.0)
-        >>> round(float(rb.constraints.cosine(A, z, B, z).value), 3)
-        1.0
+    See `along` for an example.
     """
     u, w = A.rotation @ u, B.rotation @ w
     a, b = A.angular_velocity, B.angular_velocity
@@ -200,13 +181,7 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
     Returns:
         A `Row`, m.
 
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
-        >>> A, B = now.body("upper"), now.body("lower")
-        >>> round(float(rb.constraints.distance(A, B).value), 3)
-        1.0
+    See `along` for an example.
     """
     d, rate, acceleration = _relative(A, B)
     square = add(d.dot(d), least * least)
@@ -232,13 +207,7 @@ def turn(A: Frame, B: Frame) -> list[Row]:
     Returns:
         Three `Row`s, no unit.
 
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> now = rb.forces.Context.of(model, 0.0, model.default_state(), None)
-        >>> A, B = now.body("upper"), now.body("lower")
-        >>> [round(float(row.value), 3) + 0.0 for row in rb.constraints.turn(A, B)]
-        [0.0, 0.0, 0.0]
+    See `along` for an example.
     """
     return [
         (cosine(A, AXES[j], B, AXES[i]) - cosine(A, AXES[i], B, AXES[j])) * -0.5
