@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from rbjax.compiler.ir import statements as ir
 
 #: the most statements of a block that is not split; the statements of a function
-CUT_ABOVE, EACH = 12_000, 1_500
+CUT_ABOVE, EACH = 20_000, 1_500
 
 
 @dataclass
