@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
+
+#: Whether a type checker takes an argument of type ArrayLike as converted: in the bodies of rbjax
+#: (`always_true` of mypy in pyproject.toml), and not in the code of a user.
+CONVERTED: Final = False
+if not TYPE_CHECKING:
+    #: a JAX or NumPy array, a number, or lists of numbers; the function converts it
+    ArrayLike = Any
+elif not CONVERTED:
+    from numpy.typing import ArrayLike as ArrayLike
+else:
+    ArrayLike = jax.Array
 
 #: dtypes of all computations; half precision has too few digits for dynamics
 FLOATS = (jnp.float32, jnp.float64)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import spatial
-from rbjax.arguments import instance
+from rbjax.arguments import ArrayLike, instance
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import SHAPES, checked, takes
@@ -73,7 +73,7 @@ class Situation(NamedTuple):
 def rigid_body(
     properties: MassProperties | Body,
     forces: Sequence[Force] = (),
-    added_mass: jax.Array | None = None,
+    added_mass: ArrayLike | None = None,
 ) -> Situation:
     """Check mass properties, and return a body with these properties and the forces on it.
 
@@ -138,7 +138,7 @@ def inertia_matrix(body: Body) -> jax.Array:
     return matrix if body.added_mass is None else matrix + body.added_mass
 
 
-def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
+def total_wrench(situation: Situation, t: Any, T: ArrayLike, V: ArrayLike) -> jax.Array:
     """Sum all forces to a wrench (6,) at the frame's origin in body axes.
 
     Args:
@@ -182,7 +182,7 @@ def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
     return conservative, Situation(body, rest)
 
 
-def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
+def potential_energy(situation: Situation, T: ArrayLike) -> jax.Array:
     """Compute the potential energy of all forces that have a potential.
 
     Args:
@@ -208,7 +208,7 @@ def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
     return sum(energies, start=jnp.zeros((), T.dtype))
 
 
-def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
+def kinetic_energy(body: Body, V: ArrayLike) -> jax.Array:
     """Compute the kinetic energy V . M V / 2, including added mass.
 
     Args:
@@ -235,7 +235,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 @takes(positive=["semi_axes", "density"], semi_axes="vector", density="scalar")
-def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
+def ellipsoid_added_mass(semi_axes: ArrayLike, density: ArrayLike) -> jax.Array:
     """Compute the added mass A (..., 6, 6) of an ellipsoid at its center (Lamb, 114-115, 121a).
 
         alpha_i = abc int_0^inf dl / ((a_i^2 + l) D),    D^2 = prod (a_j^2 + l)

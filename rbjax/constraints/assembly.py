@@ -18,11 +18,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number, shown
+from rbjax.arguments import ArrayLike, real_number, shown
 from rbjax.constraints.equations.model_rows import jacobian, residual
 from rbjax.constraints.rows.pairs import HalfAngle, Pair
 from rbjax.constraints.rows.soft import Soft
@@ -62,7 +61,7 @@ def row_names(model: Model) -> tuple[str, ...]:
 
 
 def mobility(
-    model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float | None = None
+    model: Model, q: ArrayLike, t: Any = 0.0, *, tolerance: float | None = None
 ) -> Mobility:
     """Count the degrees of freedom of a constrained model in one configuration. Not traceable.
 

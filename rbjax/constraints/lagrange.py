@@ -20,6 +20,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.equations.model_rows import Residual
 from rbjax.constraints.methods.dense import KKT, Dense
 from rbjax.constraints.reactions import ConstrainedMotion
@@ -143,7 +144,7 @@ class LagrangeSystem:
         return cls.lagrangian(L, forces, **rows)
 
     def solve(
-        self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, *, alpha: Any = 0.0,
+        self, t: Any, q: ArrayLike, v: ArrayLike, args: Any = None, *, alpha: Any = 0.0,
         beta: Any = 0.0,
     ) -> ConstrainedMotion:  # fmt: skip
         """Compute accelerations (n,) and multipliers (m + k,).
@@ -160,14 +161,14 @@ class LagrangeSystem:
         c = -acceleration - 2 * alpha * rate - beta**2 * value
         return ConstrainedMotion(*self.formulation.scaled_solution(M, G, F, c))
 
-    def residual(self, t: Any, q: jax.Array, v: jax.Array, args: Any = None) -> Residual:
+    def residual(self, t: Any, q: ArrayLike, v: ArrayLike, args: Any = None) -> Residual:
         """Compute the residuals of the constraints: values [f; 0] and rates [f'; A v - b]."""
         t, q, v = _arrays("LagrangeSystem.residual", t, q, v)
         value, rate, _ = self._rows(t, q, v, args)[0]
         return Residual(value, rate)
 
     def project(
-        self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, iterations: int = 3
+        self, t: Any, q: ArrayLike, v: ArrayLike, args: Any = None, iterations: int = 3
     ) -> tuple[jax.Array, jax.Array]:
         """Project q and v on the constraints by the least change in the norm of M."""
         t, q, v = _arrays("LagrangeSystem.project", t, q, v)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.equations.model_rows import wrenches_by_link
 from rbjax.constraints.methods.soft import compliant_motion
@@ -45,10 +46,10 @@ class ConstrainedMotion(NamedTuple):
 @algorithm("q", "v", "tau", "wrenches", "t", long=True)
 def constrained_dynamics(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
-    tau: jax.Array,
-    wrenches: jax.Array | None = None,
+    q: ArrayLike,
+    v: ArrayLike,
+    tau: ArrayLike,
+    wrenches: ArrayLike | None = None,
     t: Any = 0.0,
 ) -> ConstrainedMotion:
     """Compute the accelerations and multipliers of a robot with constraints:
@@ -96,7 +97,7 @@ def constrained_dynamics(
 
 @algorithm("state", "ctrl", "t")
 def multipliers(
-    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+    model: Model, state: State, ctrl: ArrayLike | None = None, t: Any = 0.0
 ) -> jax.Array:
     """Compute the constraint forces l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...).
 
@@ -140,7 +141,7 @@ def _motion(model: Model, t: Any, state: State, tau: Any, f_ext: Any) -> tuple:
 
 @algorithm("state", "ctrl", "t")
 def joint_wrenches(
-    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+    model: Model, state: State, ctrl: ArrayLike | None = None, t: Any = 0.0
 ) -> jax.Array:
     """Compute the wrench that each loop joint (`Pair`) exerts on its body b, or on the world.
 

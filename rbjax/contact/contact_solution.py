@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
-
+from rbjax.arguments import ArrayLike
 from rbjax.contact.registry import law_of
 from rbjax.contact.solution import ContactSolution
 from rbjax.dynamics.arguments import check_model
@@ -19,10 +18,10 @@ from rbjax.model.record import Record
 def solve(
     model: Model,
     state: State,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     t: Any = 0.0,
     contact: Any = "mujoco",
     dt: Any = None,

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.body_jacobians import body_jacobians
 from rbjax.dynamics.algorithms.kinematics import accelerated_base, sweep
 from rbjax.dynamics.algorithms.regressor import parameter_wrenches
@@ -31,7 +32,7 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 @algorithm("q", "v", "a")
-def section_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
+def section_regressor(model: Model, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> jax.Array:
     """Compute the inertial regressor Y (nv, 10 nb + p) of a tree whose flexible links are beams.
 
     ID(q, v, a) = Y [pi; sigma] + armature a, with pi = `rb.inertial_parameters(model)` and

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces, wrenches_to_links
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
@@ -269,7 +270,7 @@ def applied(
 
 @algorithm("state", "ctrl", "t")
 def applied_forces(
-    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+    model: Model, state: State, ctrl: ArrayLike | None = None, t: Any = 0.0
 ) -> jax.Array:
     """Compute the generalized forces (nv,) of all springs, dampers and actuators of a model and of
     the force elements of `model.forces`.
@@ -307,7 +308,7 @@ def applied_forces(
 
 
 @algorithm("q")
-def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
+def elastic_energy(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the potential energy of the force elements at rest, in J.
 
     It is the sum of k |q - q_rest|^2 / 2 over the joint springs, and of the energies of the other

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import jax
 
+from rbjax.arguments import ArrayLike
 from rbjax.model.record import Record
 
 
@@ -24,3 +27,14 @@ class State(Record):
     x: jax.Array | None = None
     memory: jax.Array | None = None
     report: jax.Array | None = None
+
+    if TYPE_CHECKING:  # functions that are given a state convert its arrays
+
+        def __init__(
+            self,
+            q: ArrayLike,
+            v: ArrayLike,
+            x: ArrayLike | None = None,
+            memory: ArrayLike | None = None,
+            report: ArrayLike | None = None,
+        ) -> None: ...

@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import ArrayLike, integer, real_number
 from rbjax.compiling import compiled, inside_jit
 from rbjax.contact.impacts.impulses import check_coefficients, check_pairs
 from rbjax.display import displayed
@@ -84,11 +84,11 @@ class ImpactTrajectory(eqx.Module):
 def simulate_impacts(
     model: Model,
     state: State,
-    ts: jax.Array,
-    ctrl: jax.Array | Source | None = None,
+    ts: ArrayLike,
+    ctrl: ArrayLike | Source | None = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     pairs: Any = None,
     restitution: Any = 0.0,
     friction: Any = None,

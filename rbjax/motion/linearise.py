@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.algorithms.derivatives import accelerated_derivatives
 from rbjax.dynamics.algorithms.manifold import difference, integrate
@@ -66,11 +67,11 @@ class Linear(Record):
 def linearise(
     model: Model,
     state: State,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     dt: Any = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     t: Any = 0.0,
     integrator: str | Integrator | None = None,
     dynamics: Dynamics | VelocityDynamics = free_motion,

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import ArrayLike, integer
 from rbjax.compiler import kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -47,11 +47,11 @@ from rbjax.motion.trajectory import Trajectory, all_finite, check_save_every, sc
 def rollout(
     model: Model,
     state: State,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     dt: float | None = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     integrator: str | Integrator | None = None,
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import ArrayLike, integer
 from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
@@ -47,13 +47,13 @@ from rbjax.motion.trajectory import Trajectory, all_finite, check_times
 def simulate(
     model: Model,
     state: State,
-    ts: jax.Array,
-    ctrl: jax.Array | Source | None = None,
+    ts: ArrayLike,
+    ctrl: ArrayLike | Source | None = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     solver: diffrax.AbstractSolver | None = None,
-    dt: float | jax.Array | None = None,
+    dt: float | ArrayLike | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: str | Formulation | None = None,

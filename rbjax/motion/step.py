@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.contact.coulomb import CoulombContact
@@ -37,10 +38,10 @@ ONE_STEP = ", or take rb.linearise if the motion is one step"
 def acceleration(
     model: Model,
     state: State,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     t: Any = 0.0,
     dynamics: Dynamics = free_motion,
     constraints: str | Formulation | None = None,
@@ -102,11 +103,11 @@ def _acceleration(
 def step(
     model: Model,
     state: State,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     dt: Any = None,
     *,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     t: Any = 0.0,
     integrator: str | Integrator | None = None,
     dynamics: Dynamics | VelocityDynamics = free_motion,

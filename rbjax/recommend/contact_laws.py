@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import ArrayLike, integer, real_number
 from rbjax.contact.compliant import CompliantContact
 from rbjax.contact.geometry.detection import chosen_pairs, contacts_at
 from rbjax.contact.impacts.moreau import MoreauContact
@@ -101,7 +101,7 @@ def contact_law(
     *,
     horizon: float = 0.25,
     dt: float | None = None,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     restitution: float = 0.0,
     progress: bool = True,
 ) -> LawRecommendation:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
     inverse_left_jacobian,
@@ -54,7 +55,7 @@ def identity(dtype=None) -> jax.Array:
 
 
 @takes(a="quaternion", b="quaternion")
-def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
+def multiply(a: ArrayLike, b: ArrayLike) -> jax.Array:
     """Multiply quaternions: a b is the rotation b followed by the rotation a.
 
     Args:
@@ -76,7 +77,7 @@ def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion")
-def conjugate(a: jax.Array) -> jax.Array:
+def conjugate(a: ArrayLike) -> jax.Array:
     """Return the conjugate of a quaternion, the inverse of a unit quaternion.
 
     Args:
@@ -97,7 +98,7 @@ def conjugate(a: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion")
-def normalize(a: jax.Array) -> jax.Array:
+def normalize(a: ArrayLike) -> jax.Array:
     """Scale a quaternion to unit length: a / |a|.
 
     Args:
@@ -118,7 +119,7 @@ def normalize(a: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion", v="vector")
-def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
+def rotate(a: ArrayLike, v: ArrayLike) -> jax.Array:
     """Rotate a vector by a unit quaternion: R(a) v = v + 2 w u x v + 2 u x (u x v).
 
     Args:
@@ -148,7 +149,7 @@ def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion")
-def to_matrix(a: jax.Array) -> jax.Array:
+def to_matrix(a: ArrayLike) -> jax.Array:
     """Compute the rotation matrix (..., 3, 3) of a quaternion (..., 4) of any nonzero length.
 
     It is 1 + s [u](w + [u]) with s = 2 / |a|^2, computed in one pass over memory.
@@ -178,7 +179,7 @@ def to_matrix(a: jax.Array) -> jax.Array:
 
 
 @takes(R="rotation")
-def from_matrix(R: jax.Array) -> jax.Array:
+def from_matrix(R: ArrayLike) -> jax.Array:
     """Compute the unit quaternion with w >= 0 of a rotation matrix (..., 3, 3).
 
     Args:
@@ -201,7 +202,7 @@ def from_matrix(R: jax.Array) -> jax.Array:
 
 
 @takes(phi="vector")
-def exp(phi: jax.Array) -> jax.Array:
+def exp(phi: ArrayLike) -> jax.Array:
     """Compute the quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector.
 
     Args:
@@ -223,7 +224,7 @@ def exp(phi: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion")
-def log(a: jax.Array) -> jax.Array:
+def log(a: ArrayLike) -> jax.Array:
     """Compute the rotation vector phi (..., 3), |phi| <= pi, of a quaternion of nonzero length.
 
     phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of two
@@ -247,7 +248,7 @@ def log(a: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion")
-def angle(a: jax.Array) -> jax.Array:
+def angle(a: ArrayLike) -> jax.Array:
     """Compute the rotation angle (...), from 0 to pi, of a quaternion of any nonzero length.
 
     Args:
@@ -269,7 +270,7 @@ def angle(a: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion", b="quaternion")
-def distance(a: jax.Array, b: jax.Array) -> jax.Array:
+def distance(a: ArrayLike, b: ArrayLike) -> jax.Array:
     """Compute the angle (...), from 0 to pi, of the rotation from a to b.
 
     Args:
@@ -292,7 +293,7 @@ def distance(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 @takes(a="quaternion", b="quaternion", s="scalar")
-def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
+def interpolate(a: ArrayLike, b: ArrayLike, s: ArrayLike) -> jax.Array:
     """Interpolate by slerp, a exp(s log(a^-1 b)), on the shorter path from a (s = 0) to b (s = 1).
 
     At s = 1 the result is b or -b.

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import choice
+from rbjax.arguments import ArrayLike, choice
 from rbjax.lanes import quaternion_matrix
 from rbjax.rotations import quaternion, redundant
 from rbjax.rotations.arguments import entries, stacked, takes
@@ -54,69 +54,69 @@ class Representation:
         return f"Representation({self.name!r}, size={self.size})"
 
     @takes(["self"], x="parameters")
-    def to_matrix(self, x: jax.Array) -> jax.Array:
+    def to_matrix(self, x: ArrayLike) -> jax.Array:
         """Compute the rotation matrix R (..., 3, 3)."""
         return stacked(quaternion_matrix(*self.formulas.to_quaternion(entries(x))), 3, 3)
 
     @takes(["self"], R="rotation")
-    def from_matrix(self, R: jax.Array) -> jax.Array:
+    def from_matrix(self, R: ArrayLike) -> jax.Array:
         """Compute the parameters x (..., size) of a rotation matrix R (..., 3, 3)."""
         return stacked(self.formulas.from_quaternion(quaternion.from_matrix_lanes(entries(R, 2))))
 
     @takes(["self"], x="parameters")
-    def to_quaternion(self, x: jax.Array) -> jax.Array:
+    def to_quaternion(self, x: ArrayLike) -> jax.Array:
         """Compute a unit quaternion w, x, y, z (..., 4), of either sign."""
         q = self.formulas.to_quaternion(entries(x))
         shrink = 1 / jnp.sqrt(sum(a * a for a in q))
         return stacked([a * shrink for a in q])
 
     @takes(["self"], q="quaternion")
-    def from_quaternion(self, q: jax.Array) -> jax.Array:
+    def from_quaternion(self, q: ArrayLike) -> jax.Array:
         """Compute the parameters x (..., size) of a quaternion of any nonzero length."""
         return stacked(self.formulas.from_quaternion(entries(q)))
 
     @takes(["self"], x="parameters")
-    def body_rate_matrix(self, x: jax.Array) -> jax.Array:
+    def body_rate_matrix(self, x: ArrayLike) -> jax.Array:
         """Compute the rate matrix E (..., 3, size) of omega_body = E x'."""
         return stacked(self.formulas.body_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
-    def space_rate_matrix(self, x: jax.Array) -> jax.Array:
+    def space_rate_matrix(self, x: ArrayLike) -> jax.Array:
         """Compute the rate matrix E (..., 3, size) of omega_space = E x'."""
         return stacked(self.formulas.space_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
-    def inverse_body_rate_matrix(self, x: jax.Array) -> jax.Array:
+    def inverse_body_rate_matrix(self, x: ArrayLike) -> jax.Array:
         """Compute the matrix (..., size, 3) that maps omega_body to x'."""
         return stacked(self.formulas.inverse_body_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters")
-    def inverse_space_rate_matrix(self, x: jax.Array) -> jax.Array:
+    def inverse_space_rate_matrix(self, x: ArrayLike) -> jax.Array:
         """Compute the matrix (..., size, 3) that maps omega_space to x'."""
         return stacked(self.formulas.inverse_space_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
-    def body_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
+    def body_acceleration(self, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike) -> jax.Array:
         """Compute d omega_body/dt = E x'' + E' x' (..., 3)."""
         return _rate_of(self.formulas.body_rate, x, xd, xdd)
 
     @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
-    def space_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
+    def space_acceleration(self, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike) -> jax.Array:
         """Compute d omega_space/dt = E x'' + E' x' (..., 3)."""
         return _rate_of(self.formulas.space_rate, x, xd, xdd)
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
-    def second_rate_from_body(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
+    def second_rate_from_body(self, x: ArrayLike, omega: ArrayLike, alpha: ArrayLike) -> jax.Array:
         """Compute x'' (..., size) from omega_body and its derivative alpha."""
         return _second_rate(self.formulas.inverse_body_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
-    def second_rate_from_space(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
+    def second_rate_from_space(self, x: ArrayLike, omega: ArrayLike, alpha: ArrayLike) -> jax.Array:
         """Compute x'' (..., size) from omega_space and its derivative alpha."""
         return _second_rate(self.formulas.inverse_space_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters")
-    def singularity_distance(self, x: jax.Array) -> jax.Array:
+    def singularity_distance(self, x: ArrayLike) -> jax.Array:
         """Return the angle (...) of the smallest rotation to the `singular_set`, or inf."""
         return self.formulas.distance(entries(x))
 
@@ -174,7 +174,7 @@ def representations() -> MappingProxyType[str, Representation]:
     return MappingProxyType({name: Representation(name, f) for name, f in formulas.items()})
 
 
-def convert(x: jax.Array, source: str, target: str) -> jax.Array:
+def convert(x: ArrayLike, source: str, target: str) -> jax.Array:
     """Convert parameters x (..., n) from one representation to another, given by their names.
 
     Args:

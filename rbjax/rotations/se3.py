@@ -13,6 +13,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix, safe_sqrt
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
@@ -55,7 +56,7 @@ def identity(dtype=None) -> jax.Array:
 
 
 @takes(R="rotation", p="vector")
-def pose(R: jax.Array, p: jax.Array) -> jax.Array:
+def pose(R: ArrayLike, p: ArrayLike) -> jax.Array:
     """Assemble the pose [R p; 0 1] (..., 4, 4).
 
     Args:
@@ -78,7 +79,7 @@ def pose(R: jax.Array, p: jax.Array) -> jax.Array:
 
 
 @takes(xi="twist")
-def hat(xi: jax.Array) -> jax.Array:
+def hat(xi: ArrayLike) -> jax.Array:
     """Return the matrix [xi] (..., 4, 4) of a twist (..., 6).
 
     Args:
@@ -101,7 +102,7 @@ def hat(xi: jax.Array) -> jax.Array:
 
 
 @takes(W="matrix4")
-def vee(W: jax.Array) -> jax.Array:
+def vee(W: ArrayLike) -> jax.Array:
     """Return the twist xi (..., 6) of a matrix [xi], from the skew part of its 3 by 3 block.
 
     Args:
@@ -124,7 +125,7 @@ def vee(W: jax.Array) -> jax.Array:
 
 
 @takes(xi="twist")
-def exp(xi: jax.Array) -> jax.Array:
+def exp(xi: ArrayLike) -> jax.Array:
     """Compute the pose [exp(phi), J_l(phi) rho] that the constant twist xi reaches in unit time.
 
     Args:
@@ -150,7 +151,7 @@ def exp(xi: jax.Array) -> jax.Array:
 
 
 @takes(T="pose")
-def log(T: jax.Array) -> jax.Array:
+def log(T: ArrayLike) -> jax.Array:
     """Compute the twist xi (..., 6) with exp(xi) = T and an angle of at most pi.
 
     Args:
@@ -175,7 +176,7 @@ def log(T: jax.Array) -> jax.Array:
 
 
 @takes(A="pose", B="pose")
-def compose(A: jax.Array, B: jax.Array) -> jax.Array:
+def compose(A: ArrayLike, B: ArrayLike) -> jax.Array:
     """Multiply poses: A B.
 
     Args:
@@ -199,7 +200,7 @@ def compose(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 @takes(T="pose")
-def inverse(T: jax.Array) -> jax.Array:
+def inverse(T: ArrayLike) -> jax.Array:
     """Compute the inverse pose [R^T, -R^T p].
 
     Args:
@@ -221,7 +222,7 @@ def inverse(T: jax.Array) -> jax.Array:
 
 
 @takes(A="pose", B="pose", s="scalar")
-def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
+def interpolate(A: ArrayLike, B: ArrayLike, s: ArrayLike) -> jax.Array:
     """Interpolate along the screw motion A exp(s log(A^-1 B)) from A (s = 0) to B (s = 1).
 
     Args:
@@ -245,7 +246,7 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 
 
 @takes(A="pose", B="pose")
-def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
+def distance(A: ArrayLike, B: ArrayLike) -> tuple[jax.Array, jax.Array]:
     """Compute the rotation angle and the translation distance from A to B.
 
     Args:
@@ -271,7 +272,7 @@ def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @takes(T="pose")
-def adjoint(T: jax.Array) -> jax.Array:
+def adjoint(T: ArrayLike) -> jax.Array:
     """Compute the adjoint matrix [[R, 0], [[p] R, R]] (..., 6, 6), which maps twists to the parent.
 
     Args:
@@ -295,7 +296,7 @@ def adjoint(T: jax.Array) -> jax.Array:
 
 
 @takes(xi="twist")
-def ad(xi: jax.Array) -> jax.Array:
+def ad(xi: ArrayLike) -> jax.Array:
     """Compute ad(xi) = [[[phi], 0], [[rho], [phi]]] (..., 6, 6). ad(a) b is the Lie bracket.
 
     Args:

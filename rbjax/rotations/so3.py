@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, matmat, quaternion_matrix
 from rbjax.rotations import quaternion
@@ -48,7 +49,7 @@ def identity(dtype=None) -> jax.Array:
 
 
 @takes(phi="vector")
-def hat(phi: jax.Array) -> jax.Array:
+def hat(phi: ArrayLike) -> jax.Array:
     """Return the skew-symmetric matrix [phi] (..., 3, 3), with [phi] a = phi x a.
 
     Args:
@@ -71,7 +72,7 @@ def hat(phi: jax.Array) -> jax.Array:
 
 
 @takes(W="matrix")
-def vee(W: jax.Array) -> jax.Array:
+def vee(W: ArrayLike) -> jax.Array:
     """Return the vector phi (..., 3) of the skew-symmetric part [phi] of a matrix.
 
     Args:
@@ -93,7 +94,7 @@ def vee(W: jax.Array) -> jax.Array:
 
 
 @takes(phi="vector")
-def exp(phi: jax.Array) -> jax.Array:
+def exp(phi: ArrayLike) -> jax.Array:
     """Compute the rotation matrix (..., 3, 3) of the rotation by |phi| about phi (..., 3).
 
     Args:
@@ -115,7 +116,7 @@ def exp(phi: jax.Array) -> jax.Array:
 
 
 @takes(R="rotation")
-def log(R: jax.Array) -> jax.Array:
+def log(R: ArrayLike) -> jax.Array:
     """Compute the rotation vector phi (..., 3) with exp(phi) = R and |phi| <= pi.
 
     The angle pi is a genuine singularity: one of two vectors is returned, and the derivative
@@ -139,7 +140,7 @@ def log(R: jax.Array) -> jax.Array:
 
 
 @takes(A="rotation", B="rotation")
-def compose(A: jax.Array, B: jax.Array) -> jax.Array:
+def compose(A: ArrayLike, B: ArrayLike) -> jax.Array:
     """Multiply rotation matrices: A B is the rotation B followed by the rotation A.
 
     Args:
@@ -161,7 +162,7 @@ def compose(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 @takes(R="rotation")
-def inverse(R: jax.Array) -> jax.Array:
+def inverse(R: ArrayLike) -> jax.Array:
     """Return the inverse rotation R^T.
 
     Args:
@@ -183,7 +184,7 @@ def inverse(R: jax.Array) -> jax.Array:
 
 
 @takes(A="rotation", B="rotation")
-def distance(A: jax.Array, B: jax.Array) -> jax.Array:
+def distance(A: ArrayLike, B: ArrayLike) -> jax.Array:
     """Compute the angle (...), from 0 to pi, of the rotation from A to B.
 
     Args:
@@ -205,7 +206,7 @@ def distance(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 @takes(A="rotation", B="rotation", s="scalar")
-def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
+def interpolate(A: ArrayLike, B: ArrayLike, s: ArrayLike) -> jax.Array:
     """Interpolate along the geodesic A exp(s log(A^T B)) from A (s = 0) to B (s = 1).
 
     Args:
@@ -250,7 +251,7 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
     return quaternion.to_matrix(quaternion.random(key, shape, dtype))
 
 
-def project(M: jax.Array) -> jax.Array:
+def project(M: ArrayLike) -> jax.Array:
     """Compute the rotation nearest to M in the Frobenius norm (orthogonal Procrustes, polar).
 
     It is not unique if `projection_margin` is 0. If M is not traced, this raises `InputError`. If M
@@ -283,7 +284,7 @@ def project(M: jax.Array) -> jax.Array:
 
 
 @takes(M="matrix")
-def projection_margin(M: jax.Array) -> jax.Array:
+def projection_margin(M: ArrayLike) -> jax.Array:
     """Compute the margin (s_2 + s_3 sign(det M)) / s_1 from the singular values s_k of M.
 
     It is 2 for a rotation, and 0 if the nearest rotation is not unique (rank 1, or a reflection).

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.lanes import safe_sqrt
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import entries, spread, stacked, takes
@@ -203,7 +204,7 @@ VECTORIAL: dict[str, Vectorial] = {
 
 
 @takes(p="vector")
-def mrp_shadow(p: jax.Array) -> jax.Array:
+def mrp_shadow(p: ArrayLike) -> jax.Array:
     """Compute the shadow -p / |p|^2 (..., 3), the other MRP of the same attitude.
 
     The shadow of p = 0 is infinite. The result is then finite, without nan.
@@ -228,7 +229,7 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
 
 
 @takes(p="vector")
-def mrp_short(p: jax.Array) -> jax.Array:
+def mrp_short(p: ArrayLike) -> jax.Array:
     """Return p or its shadow, whichever is shorter, with length at most 1 and angle at most pi.
 
     Args:

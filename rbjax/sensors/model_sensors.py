@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag
+from rbjax.arguments import ArrayLike, flag
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -30,11 +30,11 @@ from rbjax.sensors.solution import with_solution
 def sense(
     model: Model,
     state: State | Trajectory,
-    ctrl: jax.Array | Source | None = None,
+    ctrl: ArrayLike | Source | None = None,
     *,
     named: bool = False,
-    tau: jax.Array | Source | None = None,
-    wrenches: jax.Array | Source | None = None,
+    tau: ArrayLike | Source | None = None,
+    wrenches: ArrayLike | Source | None = None,
     t: Any = 0.0,
     dynamics: Dynamics | VelocityDynamics = free_motion,
     constraints: str | Formulation | None = None,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.display import displayed
 from rbjax.lanes import Mat3, Sym3, Vec3, matmat, matvec
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
@@ -52,7 +53,7 @@ class PrincipalAxes(NamedTuple):
 
 
 @takes(mass="scalar", com="vector", inertia="matrix")
-def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
+def spatial_inertia(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> jax.Array:
     """Compute the spatial inertia (..., 6, 6) from mass, center of mass and inertia about it.
 
     Args:
@@ -76,7 +77,7 @@ def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.
 
 
 @takes(matrix="matrix6")
-def mass_properties(matrix: jax.Array) -> MassProperties:
+def mass_properties(matrix: ArrayLike) -> MassProperties:
     """Compute mass, center of mass and inertia about it from a spatial inertia (..., 6, 6).
 
     Args:
@@ -103,7 +104,7 @@ def mass_properties(matrix: jax.Array) -> MassProperties:
 
 
 @takes(inertia="matrix", mass="scalar", offset="vector")
-def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax.Array:
+def parallel_axes(inertia: ArrayLike, mass: ArrayLike, offset: ArrayLike) -> jax.Array:
     """Compute the inertia I + m [d][d]^T about a point at the offset d from the center of mass.
 
     Args:
@@ -129,7 +130,7 @@ def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax
 
 
 @takes(R="rotation", inertia="matrix")
-def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
+def rotate_inertia(R: ArrayLike, inertia: ArrayLike) -> jax.Array:
     """Rotate an inertia (..., 3, 3) from the axes of B to the axes of A: I_A = R_AB I_B R_AB^T.
 
     Args:
@@ -154,7 +155,7 @@ def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
 
 @takes(T="pose", mass="scalar", com="vector", inertia="matrix")
 def transform_properties(
-    T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array
+    T: ArrayLike, mass: ArrayLike, com: ArrayLike, inertia: ArrayLike
 ) -> MassProperties:
     """Transform mass properties from a frame B to a frame A, with T the pose of B in A.
 
@@ -185,7 +186,7 @@ def transform_properties(
 
 
 @takes(T="pose", matrix="matrix6")
-def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
+def transform_inertia(T: ArrayLike, matrix: ArrayLike) -> jax.Array:
     """Transform a spatial inertia from B to A: X* I X^-1 (..., 6, 6), with T the pose of B in A.
 
     I may be any symmetric (6, 6), such as added mass.
@@ -213,7 +214,7 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 
 
 @takes(matrix="matrix6", V="twist")
-def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
+def momentum(matrix: ArrayLike, V: ArrayLike) -> jax.Array:
     """Compute the momentum I V (..., 6): [angular momentum about the origin; linear momentum].
 
     Args:
@@ -236,7 +237,7 @@ def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
 
 
 @takes(matrix="matrix6", V="twist")
-def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
+def kinetic_energy(matrix: ArrayLike, V: ArrayLike) -> jax.Array:
     """Compute the kinetic energy V . I V / 2 (...).
 
     Args:
@@ -259,7 +260,7 @@ def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
 
 
 @takes(inertia="matrix")
-def principal_axes(inertia: jax.Array) -> PrincipalAxes:
+def principal_axes(inertia: ArrayLike) -> PrincipalAxes:
     """Compute the principal moments (..., 3), their axes and the gap between the moments.
 
     Args:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import check_positive
+from rbjax.arguments import ArrayLike, check_positive
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.rotations.arguments import checked, takes
@@ -47,7 +47,7 @@ class Consistency(NamedTuple):
 
 
 @takes(mass="scalar", com="vector", inertia="matrix")
-def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
+def pseudo_inertia(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> jax.Array:
     """Compute the pseudo-inertia P (..., 4, 4) from mass, center of mass and inertia about it.
 
     Args:
@@ -79,7 +79,7 @@ def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.A
 
 
 @takes(P="matrix4")
-def from_pseudo_inertia(P: jax.Array) -> MassProperties:
+def from_pseudo_inertia(P: ArrayLike) -> MassProperties:
     """Compute mass, center of mass and inertia about it from a pseudo-inertia P (..., 4, 4).
 
     Args:
@@ -105,7 +105,7 @@ def from_pseudo_inertia(P: jax.Array) -> MassProperties:
 
 
 @takes(mass="scalar", inertia="matrix")
-def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
+def consistency(mass: ArrayLike, inertia: ArrayLike) -> Consistency:
     """Evaluate the consistency conditions of a mass (...) and an inertia (..., 3, 3) about the com.
 
     Args:
@@ -145,7 +145,7 @@ def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
     centre="vector",
 )
 def ellipsoid_margin(
-    mass: jax.Array, com: jax.Array, inertia: jax.Array, semi_axes: jax.Array, centre: jax.Array
+    mass: ArrayLike, com: ArrayLike, inertia: ArrayLike, semi_axes: ArrayLike, centre: ArrayLike
 ) -> jax.Array:
     """Compute tr(P Q) / m (...), which is at least 0 if the mass can be inside an ellipsoid.
 
@@ -178,7 +178,7 @@ def ellipsoid_margin(
     return 1 - (second / semi_axes**2).sum(-1) / mass
 
 
-def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
+def check_mass_properties(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> MassProperties:
     """Check that a body can have these mass properties, and return them.
 
     Flat and thin bodies pass. Traced values are not checked: use `consistency` for them.

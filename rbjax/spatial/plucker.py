@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import jax
 
+from rbjax.arguments import ArrayLike
 from rbjax.lanes import Mat3, Vec3
 from rbjax.rotations import se3
 from rbjax.rotations.arguments import entries, pose_parts, stacked, takes
@@ -22,7 +23,7 @@ from rbjax.spatial.vectors import Force, Motion, Transform
 
 
 @takes(T="pose")
-def motion_transform(T: jax.Array) -> jax.Array:
+def motion_transform(T: ArrayLike) -> jax.Array:
     """Compute the motion transform X_AB (..., 6, 6), which is Ad(T).
 
     Args:
@@ -44,7 +45,7 @@ def motion_transform(T: jax.Array) -> jax.Array:
 
 
 @takes(T="pose")
-def force_transform(T: jax.Array) -> jax.Array:
+def force_transform(T: ArrayLike) -> jax.Array:
     """Compute the force transform X*_AB (..., 6, 6) from the pose T of frame B in frame A: it maps
     forces from B to A.
 
@@ -68,7 +69,7 @@ def force_transform(T: jax.Array) -> jax.Array:
 
 
 @takes(T="pose", V="twist")
-def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
+def transform_motion(T: ArrayLike, V: ArrayLike) -> jax.Array:
     """Transform a motion: X_AB V (..., 6) = (R omega, R v + p x R omega).
 
     Args:
@@ -92,7 +93,7 @@ def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
 
 
 @takes(T="pose", F="twist")
-def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
+def transform_force(T: ArrayLike, F: ArrayLike) -> jax.Array:
     """Transform a force: X*_AB F (..., 6) = (R n + p x R f, R f).
 
     Args:
@@ -116,7 +117,7 @@ def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
 
 
 @takes(R="rotation")
-def extended_rotation(R: jax.Array) -> jax.Array:
+def extended_rotation(R: ArrayLike) -> jax.Array:
     """Compute diag(R, R) (..., 6, 6), the change of axes of motions and of forces.
 
     Args:
@@ -139,7 +140,7 @@ def extended_rotation(R: jax.Array) -> jax.Array:
 
 
 @takes(p="vector")
-def extended_translation(p: jax.Array) -> jax.Array:
+def extended_translation(p: ArrayLike) -> jax.Array:
     """Compute [1, 0; [p], 1] (..., 6, 6), which maps a motion at p to the origin.
 
     Its transpose maps a force at the origin to p.
@@ -163,7 +164,7 @@ def extended_translation(p: jax.Array) -> jax.Array:
 
 
 @takes(omega="vector")
-def extended_cross(omega: jax.Array) -> jax.Array:
+def extended_cross(omega: ArrayLike) -> jax.Array:
     """Compute diag([omega], [omega]) (..., 6, 6), with omega in body axes.
 
     d/dt extended_rotation(R) = extended_rotation(R) extended_cross(omega)
@@ -187,7 +188,7 @@ def extended_cross(omega: jax.Array) -> jax.Array:
 
 
 @takes(V="twist")
-def motion_cross_matrix(V: jax.Array) -> jax.Array:
+def motion_cross_matrix(V: ArrayLike) -> jax.Array:
     """Compute the matrix V x = [[omega], 0; [v], [omega]] (..., 6, 6), which is ad(V).
 
     Args:
@@ -208,7 +209,7 @@ def motion_cross_matrix(V: jax.Array) -> jax.Array:
 
 
 @takes(V="twist")
-def force_cross_matrix(V: jax.Array) -> jax.Array:
+def force_cross_matrix(V: ArrayLike) -> jax.Array:
     """Compute the matrix V x* = [[omega], [v]; 0, [omega]] = -(V x)^T (..., 6, 6).
 
     Args:
@@ -231,7 +232,7 @@ def force_cross_matrix(V: jax.Array) -> jax.Array:
 
 
 @takes(V="twist", m="twist")
-def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
+def motion_cross(V: ArrayLike, m: ArrayLike) -> jax.Array:
     """Compute the cross product V x m (..., 6) of motions.
 
     Args:
@@ -254,7 +255,7 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
 
 
 @takes(V="twist", f="twist")
-def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
+def force_cross(V: ArrayLike, f: ArrayLike) -> jax.Array:
     """Compute the cross product V x* f (..., 6) of a motion and a force.
 
     Args:

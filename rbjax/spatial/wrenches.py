@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import jax
 
+from rbjax.arguments import ArrayLike
 from rbjax.lanes import Vec3
 from rbjax.rotations import screws
 from rbjax.rotations.arguments import entries, stacked, takes
@@ -17,7 +18,7 @@ from rbjax.spatial.vectors import Force, Motion
 
 
 @takes(V="twist", point="vector")
-def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
+def twist_at(V: ArrayLike, point: ArrayLike) -> jax.Array:
     """Compute the twist (omega, v + omega x r) (..., 6) at a point from the twist V at the origin.
 
     Args:
@@ -40,7 +41,7 @@ def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
 
 
 @takes(F="twist", point="vector")
-def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
+def wrench_at(F: ArrayLike, point: ArrayLike) -> jax.Array:
     """Compute the wrench (n - r x f, f) (..., 6) at a point from the wrench F at the origin.
 
     Args:
@@ -63,7 +64,7 @@ def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
 
 
 @takes(f="vector", point="vector")
-def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
+def force_at(f: ArrayLike, point: ArrayLike) -> jax.Array:
     """Compute the wrench (r x f, f) (..., 6) at the origin of a force f (..., 3) at a point.
 
     Args:
@@ -86,7 +87,7 @@ def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
 
 
 @takes(wrenches="twist", points="vector", about="vector")
-def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> jax.Array:
+def merge_wrenches(wrenches: ArrayLike, points: ArrayLike, about: ArrayLike) -> jax.Array:
     """Sum wrenches (..., n, 6) at different points (..., n, 3) to one wrench at the point `about`.
 
     All are in the same axes.
@@ -112,7 +113,7 @@ def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> 
 
 
 @takes(F="twist", V="twist")
-def power(F: jax.Array, V: jax.Array) -> jax.Array:
+def power(F: ArrayLike, V: ArrayLike) -> jax.Array:
     """Compute the power n . omega + f . v (...) of a wrench and a twist at one point in one frame.
 
     Args:
@@ -134,7 +135,7 @@ def power(F: jax.Array, V: jax.Array) -> jax.Array:
 
 
 @takes(F="twist")
-def central_axis(F: jax.Array) -> Screw:
+def central_axis(F: ArrayLike) -> Screw:
     """Compute the central axis of a wrench: a force along a line and a couple about it (Poinsot).
 
     `axis` and `point` define the line, `pitch` is couple / force, and `magnitude` is the force. For

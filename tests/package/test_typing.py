@@ -13,16 +13,23 @@ from typing import Any
 import pytest
 
 import rbjax as rb
+from tests.package import users_arrays
 
 ROOT = Path(__file__).parents[2]
-SCRIPT = Path(__file__).parent / "users_script.py"
+HERE = Path(__file__).parent
+#: lines with errors: an unknown name, a missing argument, a state as an array
+WRONG = """
+    rb.nothing
+    rb.mass_matrix(model)
+    rb.mass_matrix(model, state)
+"""
 
 
 @pytest.mark.slow
-def test_a_users_script_passes_mypy_strict(tmp_path: Path) -> None:
-    """As for an installed package: errors inside rbjax do not count, and a wrong name is one."""
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT.read_text() + "\n    rb.nothing\n    rb.mass_matrix(model)\n")
+def test_users_scripts_pass_mypy_strict(tmp_path: Path) -> None:
+    """As for an installed package: errors inside rbjax do not count, and wrong calls are errors."""
+    (tmp_path / "script.py").write_text((HERE / "users_script.py").read_text() + WRONG)
+    (tmp_path / "arrays.py").write_text((HERE / "users_arrays.py").read_text())
     (tmp_path / "mypy.ini").write_text(
         "[mypy]\nstrict = true\n[mypy-rbjax.*]\nignore_errors = true\n"
         "[mypy-chex.*,mujoco.*,llvmlite.*,optax.*,scipy.*,mpmath.*]\n"
@@ -30,13 +37,21 @@ def test_a_users_script_passes_mypy_strict(tmp_path: Path) -> None:
     )
     child = subprocess.run(
         [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir",
-         str(ROOT / ".mypy_cache" / "users_script"), script.name],
+         str(ROOT / ".mypy_cache" / "users_script"), "script.py", "arrays.py"],
         capture_output=True, text=True, cwd=tmp_path, env={"MYPYPATH": str(ROOT), "PATH": ""},
     )  # fmt: skip
     found = child.stdout.splitlines()
     here = [x for x in found if x.startswith("script.py")]
-    assert [x.partition("  ")[2] for x in here] == ["[attr-defined]", "[call-arg]"], child.stdout
-    assert len(found) == 3, child.stdout + child.stderr
+    wrong = ["[attr-defined]", "[call-arg]", "[arg-type]"]
+    assert [x.partition("  ")[2] for x in here] == wrong, child.stdout
+    assert len(found) == 4, child.stdout + child.stderr
+
+
+@pytest.mark.slow
+def test_numpy_arrays_and_lists_are_converted() -> None:
+    users_arrays.motion()
+    users_arrays.dynamics()
+    users_arrays.geometry()
 
 
 def functions() -> Iterator[tuple[str, Any]]:

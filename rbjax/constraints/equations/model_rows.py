@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.rows.row import Row
 from rbjax.display import displayed
 from rbjax.dynamics.algorithms.rnea import LinkForces, add_forces
@@ -124,7 +125,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
 
 
 @algorithm("q", "t")
-def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
+def jacobian(model: Model, q: ArrayLike, t: Any = 0.0) -> jax.Array:
     """Compute the constraint Jacobian G (m, nv) of g' = G v + g_t.
 
     Args:

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import instance
+from rbjax.arguments import ArrayLike, instance
 from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.frames import frame_pose, locate
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
@@ -226,7 +226,7 @@ def places(
     *,
     point: Any = None,
     axis: Any = (0.0, 0.0, 1.0),
-    q: jax.Array | None = None,
+    q: ArrayLike | None = None,
 ) -> tuple[Place, Place]:
     """Return the `Place` on each of two bodies that coincides with a given frame of the world.
 
@@ -252,7 +252,7 @@ def places(
         [0.3, 0.0, 0.0]
     """
     instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
-    q = model.default_state().q if q is None else q
+    q = model.default_state().q if q is None else check_array("places", "q", q, (model.nq,))
     point = origin(model, a, q) if point is None else point
     point = check_array("places", "point", point, (3,)).astype(q.dtype)
     turn = turn_z_to(check_array("places", "axis", axis, (3,)).astype(q.dtype))

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.rows.geometry import (
     AXES,
     End,
@@ -80,7 +81,7 @@ class Pair(Constraint):
         *,
         point: Any = None,
         axis: Any = (0.0, 0.0, 1.0),
-        q: jax.Array | None = None,
+        q: ArrayLike | None = None,
         **numbers: Any,
     ) -> Any:
         """Make the joint from a point and an axis in the world, for one configuration.

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.constraints.rows.row import Constraint, Row
 from rbjax.errors import InputError
 from rbjax.forces.context import Context
@@ -90,7 +91,7 @@ class Soft(Constraint):
         of: Constraint,
         solref: Any = SOLREF,
         solimp: Any = SOLIMP,
-        q: jax.Array | None = None,
+        q: ArrayLike | None = None,
     ) -> Soft:
         """Make a constraint soft, with weights diag(G M^-1 G^T) at a configuration, which follow
         the masses of the model.

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import ArrayLike, instance
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
@@ -46,7 +46,7 @@ class Allocation(NamedTuple):
     residual: jax.Array
 
 
-def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
+def allocate(model: Model, state: State, tau: ArrayLike) -> Allocation:
     """Compute controls whose actuator forces are the generalized forces tau, or the nearest ones.
 
         u = B^+ (tau - b), clipped to the control ranges.

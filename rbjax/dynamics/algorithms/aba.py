@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.factors import (
     AnyFactor,
     Column,
@@ -305,7 +306,7 @@ def acceleration(
 
 @algorithm("q", "v", "tau", "wrenches", long=True)
 def forward_dynamics(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
+    model: Model, q: ArrayLike, v: ArrayLike, tau: ArrayLike, wrenches: ArrayLike | None = None
 ) -> jax.Array:
     """Compute the acceleration of a robot without actuators, force elements and constraints.
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.display import displayed
 from rbjax.dynamics.algorithms.composites import (
     Coriolis,
@@ -40,7 +41,7 @@ from rbjax.spatial import RigidInertia
 
 
 @algorithm("q", "v")
-def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+def coriolis_matrix(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
     """Compute the Coriolis matrix C, with C v + gravity_forces = bias_forces and M' - 2 C skew.
 
     Args:
@@ -98,7 +99,7 @@ class LagrangeCoefficients(NamedTuple):
     gravity: jax.Array
 
 
-def lagrange_coefficients(model: Model, q: jax.Array) -> LagrangeCoefficients:
+def lagrange_coefficients(model: Model, q: ArrayLike) -> LagrangeCoefficients:
     """Compute the inertial, centripetal, Coriolis and gravity coefficients of Lagrange's equations.
 
     Use it to read the equations of motion of a robot term by term. `bias_forces` and

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.composites import (
     link_axes,
     link_inertias,
@@ -83,7 +84,7 @@ def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
 
 
 @algorithm("q", long=True)
-def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+def mass_matrix(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the mass matrix M(q), including armature: kinetic energy = v^T M v / 2.
 
     Args:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.display import displayed
 from rbjax.dynamics.algorithms.aba import aba, acceleration, forward_dynamics
 from rbjax.dynamics.algorithms.columns import forward_by_columns, inverse_by_columns
@@ -67,7 +68,7 @@ def _forward_in_kernels(model: Model, *given: jax.Array) -> tuple[jax.Array, ...
 
 @algorithm("q", "v", "a", multi_kernel=_inverse_in_kernels)
 def inverse_dynamics_derivatives(
-    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
+    model: Model, q: ArrayLike, v: ArrayLike, a: ArrayLike
 ) -> InverseDynamicsDerivatives:
     """Differentiate `inverse_dynamics`, without force elements and constraints.
 
@@ -123,7 +124,7 @@ def bias_derivative(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q", "v", "tau", pairs=True, multi_kernel=_forward_in_kernels)
 def forward_dynamics_derivatives(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+    model: Model, q: ArrayLike, v: ArrayLike, tau: ArrayLike
 ) -> ForwardDynamicsDerivatives:
     """Differentiate `forward_dynamics`, without force elements and constraints.
 

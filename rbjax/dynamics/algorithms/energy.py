@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.kinematics import (
@@ -44,7 +45,7 @@ Entries = Mapping[tuple[int, int], Lane]
 
 
 @algorithm("q", "v")
-def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+def kinetic_energy(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
     """Compute the kinetic energy v^T M(q) v / 2 in joules, including armature, in O(n).
 
     Args:
@@ -79,7 +80,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 @algorithm("q")
-def potential_energy(model: Model, q: jax.Array) -> jax.Array:
+def potential_energy(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the potential energy of gravity in joules, without springs.
 
     Args:
@@ -104,7 +105,7 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
 
 
 @algorithm("q")
-def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
+def center_of_mass(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the center of mass (3,) of all bodies, in the world, in metres.
 
     Args:
@@ -125,7 +126,7 @@ def center_of_mass(model: Model, q: jax.Array) -> jax.Array:
 
 
 @algorithm("q", "v")
-def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+def centroidal_momentum(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
     """Compute the momentum (6,) of all bodies about their center of mass: [angular; linear].
 
     Args:

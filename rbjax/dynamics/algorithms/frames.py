@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms import kinematics
 from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask, point_jacobian
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, sweep
@@ -66,9 +67,9 @@ def _on_link(where: str, model: Model, q: jax.Array, frame: Frame) -> tuple[int,
 @algorithm("q", "point")
 def frame_pose(
     model: Model,
-    q: jax.Array,
+    q: ArrayLike,
     body: str | Frame | None = None,
-    point: jax.Array | None = None,
+    point: ArrayLike | None = None,
     *,
     site: str | None = None,
 ) -> tuple[jax.Array, jax.Array]:
@@ -133,10 +134,10 @@ def _point_motion(
 @algorithm("q", "v", "point")
 def frame_velocity(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
+    q: ArrayLike,
+    v: ArrayLike,
     body: str | Frame | None = None,
-    point: jax.Array | None = None,
+    point: ArrayLike | None = None,
     *,
     site: str | None = None,
 ) -> jax.Array:
@@ -178,10 +179,10 @@ def frame_velocity(
 @algorithm("q", "v", "point")
 def frame_bias_acceleration(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
+    q: ArrayLike,
+    v: ArrayLike,
     body: str | Frame | None = None,
-    point: jax.Array | None = None,
+    point: ArrayLike | None = None,
     *,
     site: str | None = None,
 ) -> jax.Array:
@@ -247,9 +248,9 @@ def _jacobian(
 @algorithm("q", "point")
 def jacobian(
     model: Model,
-    q: jax.Array,
+    q: ArrayLike,
     body: str | Frame | None = None,
-    point: jax.Array | None = None,
+    point: ArrayLike | None = None,
     *,
     site: str | None = None,
 ) -> jax.Array:
@@ -295,10 +296,10 @@ def jacobian(
 @algorithm("q", "v", "point")
 def jacobian_rate(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
+    q: ArrayLike,
+    v: ArrayLike,
     body: str | Frame | None = None,
-    point: jax.Array | None = None,
+    point: ArrayLike | None = None,
     *,
     site: str | None = None,
 ) -> jax.Array:
@@ -369,7 +370,7 @@ def jacobian_rate(
 
 
 @algorithm("q", "wrenches")
-def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.Array:
+def generalized_forces(model: Model, q: ArrayLike, wrenches: ArrayLike) -> jax.Array:
     """Compute the generalized forces (nv,) of wrenches on bodies: tau = sum_b J_b^T w_b.
 
     Args:

@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.aba import factorize, solve
 from rbjax.dynamics.algorithms.columns import inverse_mass_by_columns
 from rbjax.dynamics.drivers.choice import Driver, driver
@@ -114,7 +115,7 @@ def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
 
 
 @algorithm("q", pairs=True, multi_kernel=inverse_mass_by_columns)
-def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+def inverse_mass_matrix(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the inverse mass matrix M(q)^-1 (nv, nv), with ABA in O(n) for each column.
 
     Args:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.display import displayed
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
@@ -135,7 +136,7 @@ def body_transforms(d: Driver, poses: Any) -> Any:
 
 
 @algorithm("q")
-def forward_kinematics(model: Model, q: jax.Array) -> Poses:
+def forward_kinematics(model: Model, q: ArrayLike) -> Poses:
     """Compute the poses of all bodies in the world.
 
     R_WC = R_WP R_PC, p_WC = p_WP + R_WP p_PC.
@@ -169,7 +170,7 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
 
 
 @algorithm("q", "v")
-def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+def body_velocities(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
     """Compute the twists of all bodies (nb, 6), at the origins of their frames in world axes.
 
     A twist is [angular; linear], V_b = J_b(q) v.

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Lane, Vec3, fusion_barrier, horner, sub
 from rbjax.model import Model, spans
@@ -121,7 +122,7 @@ def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
 
 
 @algorithm("q", "dq")
-def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
+def integrate(model: Model, q: ArrayLike, dq: ArrayLike) -> jax.Array:
     """Compute the configuration q + dq (nq,) from a configuration and a tangent vector dq (nv,).
 
     For attitudes it is q exp(dq / 2), with dq in body axes. Resulting quaternions have unit length.
@@ -147,7 +148,7 @@ def integrate(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
 
 
 @algorithm("q0", "q1")
-def difference(model: Model, q0: jax.Array, q1: jax.Array) -> jax.Array:
+def difference(model: Model, q0: ArrayLike, q1: ArrayLike) -> jax.Array:
     """Compute the tangent vector dq = q1 - q0 (nv,), with integrate(q0, dq) = q1.
 
     Args:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.compiler import compile_threads, map_threads
 from rbjax.dynamics.algorithms.body_jacobians import ancestor_mask
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
@@ -67,7 +68,7 @@ def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array)
 
 
 @algorithm("q", "v", "a", multi_kernel=regressor_by_columns)
-def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
+def inertial_regressor(model: Model, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> jax.Array:
     """Compute the inertial regressor Y (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
 
     pi stacks (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of each body, in its own

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.algorithms.kinematics import (
     ACCELERATION,
     ROTATION,
@@ -177,7 +178,7 @@ def forces_at(
 
 @algorithm("q", "v", "a", "wrenches")
 def inverse_dynamics(
-    model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None
+    model: Model, q: ArrayLike, v: ArrayLike, a: ArrayLike, wrenches: ArrayLike | None = None
 ) -> jax.Array:
     """Compute the generalized forces tau (nv,) that cause the acceleration a.
 
@@ -211,7 +212,7 @@ def inverse_dynamics(
 
 
 @algorithm("q", "v")
-def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+def bias_forces(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
     """Compute the bias forces b(q, v) (nv,) of velocity and gravity, with M a + b = tau.
 
     Args:
@@ -235,7 +236,7 @@ def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 @algorithm("q")
-def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
+def gravity_forces(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the forces g(q) = dV/dq (nv,) that hold the robot at rest against gravity.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.context import Context
 from rbjax.forces.reach import Reach
@@ -19,7 +20,7 @@ def _reaches(model: Model, q: jax.Array) -> list[Reach]:
 
 
 @algorithm("q")
-def tendon_lengths(model: Model, q: jax.Array) -> jax.Array:
+def tendon_lengths(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the lengths l(q) of all tendons.
 
     A fixed tendon has l = sum of c_k q_k. A spatial tendon has the length of the shortest path
@@ -54,7 +55,7 @@ def tendon_lengths(model: Model, q: jax.Array) -> jax.Array:
 
 
 @algorithm("q")
-def tendon_jacobian(model: Model, q: jax.Array) -> jax.Array:
+def tendon_jacobian(model: Model, q: ArrayLike) -> jax.Array:
     """Compute the Jacobian J = dl/dq of all tendon lengths, by velocity coordinates.
 
     l' = J v, and a tension f in the tendons is the generalized force -J^T f. It is a closed form of

@@ -18,13 +18,14 @@ tests with it are conservative.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import ArrayLike, floating_array
 from rbjax.compiling import compiled
 from rbjax.display import Display, field_rows, host, shape, value_text
 from rbjax.errors import InputError
@@ -50,7 +51,7 @@ class DistanceField(Record):
     resolution: jax.Array
     origin: jax.Array
 
-    def at(self, points: jax.Array) -> jax.Array:
+    def at(self, points: ArrayLike) -> jax.Array:
         """Interpolate the distance (...), m, at points (..., 2), m. Beyond the ring around the map,
         the distance from the ring is subtracted."""
         u, v, away = self._place(points)
@@ -62,19 +63,20 @@ class DistanceField(Record):
         high = (1 - b) * self.values[i + 1, j] + b * self.values[i + 1, j + 1]
         return (1 - a) * low + a * high - away
 
-    def below(self, points: jax.Array) -> jax.Array:
+    def below(self, points: ArrayLike) -> jax.Array:
         """Compute a lower bound (...) of the distance at points (..., 2), m."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
         off = self.resolution * safe_sqrt((u - i) ** 2 + (v - j) ** 2)
         return self.values[i.astype(int), j.astype(int)] - off - away
 
-    def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def _place(self, points: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Clamp points (..., 2) to the rectangle of the cell centres.
 
         Return the indices along x and y, and the distance of each point from the rectangle, m.
         """
         nx, ny = self.values.shape
+        points = _pairs("DistanceField", "points", points)
         u, v = ((points[..., k] - self.origin[k]) / self.resolution + 0.5 for k in (0, 1))
         inside, also = jnp.clip(u, 0.0, nx - 1.0), jnp.clip(v, 0.0, ny - 1.0)
         away = safe_sqrt((u - inside) ** 2 + (v - also) ** 2)
@@ -104,6 +106,15 @@ class OccupancyGrid(Record):
     occupied: jax.Array = eqx.field(converter=lambda x: _cells(x))
     resolution: jax.Array = eqx.field(converter=floats)
     origin: jax.Array = eqx.field(converter=floats, default=(0.0, 0.0))
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            occupied: ArrayLike,
+            resolution: ArrayLike,
+            origin: ArrayLike | tuple[float, float] = (0.0, 0.0),
+        ) -> None: ...
 
     def __check_init__(self) -> None:
         check_fields(self)
@@ -143,12 +154,14 @@ class OccupancyGrid(Record):
         """
         return cls(*map(jnp.asarray, read(file, unknown)))
 
-    def cell(self, points: jax.Array) -> jax.Array:
+    def cell(self, points: ArrayLike) -> jax.Array:
         """Return the cells (..., 2) of points (..., 2), m. They may be beyond the map."""
+        points = _pairs("OccupancyGrid.cell", "points", points)
         return jnp.floor((points - self.origin) / self.resolution).astype(int)
 
-    def center(self, cells: jax.Array) -> jax.Array:
+    def center(self, cells: ArrayLike) -> jax.Array:
         """Return the centres (..., 2), m, of cells (..., 2)."""
+        cells = _pairs("OccupancyGrid.center", "cells", cells)
         return self.origin + self.resolution * (cells + 0.5)
 
     def distance_field(self, closed: bool = True) -> DistanceField:
@@ -170,6 +183,10 @@ class OccupancyGrid(Record):
     def _fields(self) -> dict[bool, DistanceField]:
         """Cache of the distance fields: `closed` -> field."""
         return {}
+
+
+def _pairs(where: str, name: str, value: ArrayLike) -> jax.Array:
+    return floating_array(where, name, value, lambda shape: shape[-1:] == (2,), "(..., 2)")
 
 
 def _cells(occupied: Any) -> Any:

@@ -15,13 +15,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import ArrayLike
 from rbjax.planning.paths import words
 from rbjax.planning.paths.path import Path
 from rbjax.rotations.arguments import takes
 
 
 @takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
-def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
+def dubins(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> Path:
     """Compute the shortest path of a car that only drives forwards: the best of six words.
 
         LSL, LSR, RSL, RSR, RLR, LRL
@@ -48,7 +49,7 @@ def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
 
 
 @takes(positive=["radius"], start="planar_pose", goal="planar_pose", radius="scalar")
-def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Path:
+def reeds_shepp(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> Path:
     """Compute the shortest path of a car that drives in both directions: the best of 48 words.
 
         C|C|C, C|CC, CC|C, CSC, CCu|CuC, C|CuCu|C, C|CSC, CSC|C, C|CSC|C      (| is a cusp)

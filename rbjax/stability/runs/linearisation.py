@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance, real_array
+from rbjax.arguments import ArrayLike, instance, real_array
 from rbjax.constraints import residual
 from rbjax.constraints.equations.soft_weights import with_weights
 from rbjax.display import displayed
@@ -24,7 +24,7 @@ from rbjax.rank_tolerances import rank_tolerance
 
 
 @algorithm("state", "ctrl")
-def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
+def state_matrix(model: Model, state: State, ctrl: ArrayLike | None = None) -> jax.Array:
     """Compute the matrix A of the linearised motion d/dt dx = A dx, at constant control.
 
     Args:

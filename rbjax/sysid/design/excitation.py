@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer, real_array, real_number
+from rbjax.arguments import ArrayLike, integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
 
@@ -99,7 +99,7 @@ class Fourier(eqx.Module):
 
     @classmethod
     def random(
-        cls, key: jax.Array, q0: jax.Array, harmonics: int, period: float, speed: float = 0.1
+        cls, key: jax.Array, q0: ArrayLike, harmonics: int, period: float, speed: float = 0.1
     ) -> Fourier:
         """Draw normal coefficients for velocities with a standard deviation of `speed` in rad/s."""
         q0 = _random("Fourier.random", key, q0, speed)
@@ -157,7 +157,7 @@ class Spline(eqx.Module):
 
     @classmethod
     def random(
-        cls, key: jax.Array, q0: jax.Array, points: int, duration: float, size: float = 0.1
+        cls, key: jax.Array, q0: ArrayLike, points: int, duration: float, size: float = 0.1
     ) -> Spline:
         """Draw a trajectory from q0 back to q0.
 

@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number
+from rbjax.arguments import ArrayLike, real_number
 from rbjax.dynamics import inertial_parameters
 from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
@@ -43,7 +43,7 @@ _UPPER_ENTRIES = np.triu_indices(4, 1)
 
 
 @takes(phi="inertial")
-def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
+def pseudo_inertia_of(phi: ArrayLike) -> jax.Array:
     """Compute the pseudo-inertia P (..., 4, 4) from the ten inertial parameters.
 
         P = [[tr(I)/2 1 - I, h], [h^T, m]],   linear in phi
@@ -73,7 +73,7 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
 
 
 @takes(P="matrix4")
-def inertial_parameters_of(P: jax.Array) -> jax.Array:
+def inertial_parameters_of(P: ArrayLike) -> jax.Array:
     """Compute the inertial parameters phi (..., 10) from the pseudo-inertia P (..., 4, 4).
 
     It is the inverse of `pseudo_inertia_of`.
@@ -98,7 +98,7 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
 
 @takes(theta="inertial")
-def from_log_cholesky(theta: jax.Array) -> jax.Array:
+def from_log_cholesky(theta: ArrayLike) -> jax.Array:
     """Compute the pseudo-inertia P (..., 4, 4) from log-Cholesky coordinates.
 
     P = U U^T is positive definite for all coordinates.
@@ -125,7 +125,7 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
 
 @takes(theta="inertial")
-def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
+def log_cholesky_parameters(theta: ArrayLike) -> jax.Array:
     """Compute the inertial parameters phi (..., 10) from log-Cholesky coordinates.
 
     Args:
@@ -148,7 +148,7 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
     return inertial_parameters_of(from_log_cholesky(theta))
 
 
-def to_log_cholesky(P: jax.Array) -> jax.Array:
+def to_log_cholesky(P: ArrayLike) -> jax.Array:
     """Compute the log-Cholesky coordinates of a pseudo-inertia, the inverse of `from_log_cholesky`.
 
     Args:
@@ -207,7 +207,7 @@ def upper_factor(theta: jax.Array) -> jax.Array:
     return jnp.exp(a)[..., None, None] * stacked(rows, 4, 4)
 
 
-def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
+def nearest_pseudo_inertia(P: ArrayLike, margin: float = 1e-6) -> jax.Array:
     """Project to the nearest P with eigenvalues of at least `margin` times the largest.
 
     Use it to repair an inertia of a file that no body can have.
@@ -242,7 +242,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
     return jnp.where((w[..., :1] >= least)[..., None], P, lifted)
 
 
-def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
+def with_inertial_parameters(model: Model, pi: ArrayLike) -> Model:
     """Set the inertial parameters of a model's bodies, the inverse of `rb.inertial_parameters`.
 
     Args:
@@ -318,7 +318,7 @@ parameter_jacobian = jax.jit(jax.vmap(jax.jacfwd(log_cholesky_parameters)))
 """d phi / d theta (n, 10, 10) of n bodies."""
 
 
-def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
+def log_determinant_divergence(P: ArrayLike, Q: ArrayLike) -> jax.Array:
     """Compute the divergence d(P||Q) (...) of two pseudo-inertias, which is 0 if they are equal.
 
         tr(Q^-1 P) - log det(Q^-1 P) - 4
@@ -346,7 +346,7 @@ def log_determinant_divergence(P: jax.Array, Q: jax.Array) -> jax.Array:
 
 
 @takes(theta="inertial", prior="inertial")
-def prior_residual(theta: jax.Array, prior: jax.Array) -> jax.Array:
+def prior_residual(theta: ArrayLike, prior: ArrayLike) -> jax.Array:
     """Compute smooth residuals r (..., 10) with |r|^2 = d(P(theta)||P(prior)), for least squares.
 
         r = (B_ij for i < j, sign(x) sqrt(e^(2x) - 1 - 2x)),   B = V^-1 U,  B_ii = e^x,

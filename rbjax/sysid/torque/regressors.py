@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, integer, real_number
+from rbjax.arguments import ArrayLike, choice, integer, real_number
 from rbjax.dynamics import inertial_parameters, inertial_regressor
 from rbjax.dynamics.arguments import SHAPES, check_array, check_model, check_moves, shape_of
 from rbjax.errors import InputError
@@ -55,13 +55,13 @@ JOINT_TERMS: dict[str, Callable[..., jax.Array]] = {
 
 def regressor(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
-    a: jax.Array,
+    q: ArrayLike,
+    v: ArrayLike,
+    a: ArrayLike,
     *,
     joint_terms: Sequence[str] = (),
     smoothing: float = 0.0,
-    tau: jax.Array | None = None,
+    tau: ArrayLike | None = None,
 ) -> jax.Array:
     """Compute the regressor Y(q, v, a) (nv, p) with tau = Y pi.
 
@@ -112,14 +112,14 @@ def regressor(
 
 def observation_matrix(
     model: Model,
-    q: jax.Array,
-    v: jax.Array,
-    a: jax.Array,
+    q: ArrayLike,
+    v: ArrayLike,
+    a: ArrayLike,
     *,
     rows: Sequence[int | str] | slice | None = None,
     joint_terms: Sequence[str] = (),
     smoothing: float = 0.0,
-    tau: jax.Array | None = None,
+    tau: ArrayLike | None = None,
 ) -> jax.Array:
     """Compute the observation matrix W (n, rows, p): the regressor at n samples of a motion.
 
@@ -280,9 +280,9 @@ def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
 
 def base_parameters(
     model: Model,
-    q: jax.Array | None = None,
-    v: jax.Array | None = None,
-    a: jax.Array | None = None,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    a: ArrayLike | None = None,
     *,
     rows: Sequence[int | str] | slice | None = None,
     joint_terms: Sequence[str] = (),
