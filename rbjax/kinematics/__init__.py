@@ -5,7 +5,8 @@
 """
 
 from rbjax.kinematics.goals import Goal
-from rbjax.kinematics.position_level import InverseKinematics, inverse_kinematics
+from rbjax.kinematics.position_level import inverse_kinematics
+from rbjax.kinematics.restarts import InverseKinematics
 from rbjax.kinematics.velocity_level import (
     DifferentialInverseKinematics,
     differential_inverse_kinematics,

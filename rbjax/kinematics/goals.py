@@ -154,7 +154,8 @@ class GoalErrors:
         path = () if link == WORLD else self._d.topology.ancestors[link]
         if goal.rotation is not None:
             turn = _entries(goal.rotation, self.dtype) @ R.T
-            e = quaternion.log_lanes(quaternion.from_matrix_lanes(_arrays(turn, self.dtype)))
+            entries = [jnp.asarray(x, self.dtype) for x in turn]
+            e = quaternion.log_lanes(quaternion.from_matrix_lanes(entries))
             self._rows(goal, True, e, path, lambda spin, slip: spin)
         elif goal.direction is not None:
             n, a = _unit(goal.direction, self.dtype), Vec3(0.0, 0.0, 1.0)
@@ -252,7 +253,3 @@ def _unit(x: jax.Array, dtype: Any) -> Vec3:
 
 def _entries(R: jax.Array, dtype: Any) -> Mat3:
     return Mat3(*(jnp.asarray(R[i, j], dtype) for i in range(3) for j in range(3)))
-
-
-def _arrays(R: Mat3, dtype: Any) -> list[jax.Array]:
-    return [jnp.asarray(x, dtype) for x in R]

@@ -15,6 +15,7 @@ Source: Sugihara 2011; Beeson & Ames, *TRAC-IK*, 2015; Nocedal & Wright, ch. 18.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -38,53 +39,13 @@ from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.kinematics.goals import Goal, body_of, errors
 from rbjax.kinematics.joint_ranges import Ranges, random_configurations
-from rbjax.kinematics.restarts import Found, Settings, search
+from rbjax.kinematics.restarts import InverseKinematics, search
 from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
-from rbjax.model.record import Record
 from rbjax.rank_tolerances import rank_tolerance
 
 WHERE = "inverse_kinematics"
-
-
-class InverseKinematics(Record):
-    """The result of `inverse_kinematics`.
-
-    q: configuration within the joint ranges, (nq,).
-    rotation_error: largest rotation error of any goal, rad.
-    position_error: largest position error of any goal, m.
-    success: true if both errors are within the tolerance.
-    iterations: total number of iterations of all starts.
-    start: index of the start that converged; 0 is the argument `start`.
-    """
-
-    q: jax.Array
-    rotation_error: jax.Array
-    position_error: jax.Array
-    success: jax.Array
-    iterations: jax.Array
-    start: jax.Array
-
-    def summary(self) -> str:
-        """Return "converged ..." or "closest pose ..."; for a batch, the number that converged."""
-        met = np.asarray(self.success)
-        rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
-        if met.ndim and met.all():
-            return f"converged: all {met.size}"
-        if met.ndim:
-            return (
-                f"{int(met.sum())} of {met.size} converged; the worst result is "
-                f"{np.max(position, where=~met, initial=0.0):.3g} m and "
-                f"{np.max(rotation, where=~met, initial=0.0):.3g} rad from its goal"
-            )
-        rest = f"{float(position):.3g} m and {float(rotation):.3g} rad from the goal"
-        if met:
-            return f"converged: {rest}, by start {int(self.start)}"
-        return (
-            f"closest pose: {rest}. No start reached it within the joint ranges: it may be out of "
-            "reach; more seeds or another key search further"
-        )
 
 
 def inverse_kinematics(
@@ -172,8 +133,8 @@ def inverse_kinematics(
     args = (model, goals, given["start"], given["posture"], key, weighting, within)
     inside = split_tracers(args)[0] and inside_jit()
     run = _inlined if inside else _program
-    how = Settings(iterations, bool(limits))
-    return run(*args, searches=(side_by_side, -(-seeds // side_by_side)), how=how)
+    searches = (side_by_side, -(-seeds // side_by_side))
+    return run(*args, searches=searches, iterations=iterations, limits=bool(limits))
 
 
 def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
@@ -221,10 +182,10 @@ def _pair(name: str, value: Any, dtype: Any) -> tuple[jax.Array, jax.Array]:
 @automatic
 def _inlined(
     model: Model, goals: tuple[Goal, ...], start: Any, posture: Any, key: Any, weights: Any,
-    tolerance: Any, *, searches: tuple[int, int], how: Settings,
+    tolerance: Any, *, searches: tuple[int, int], iterations: int, limits: bool,
 ) -> InverseKinematics:  # fmt: skip
     """Search as compiled code. searches: number of parallel searches, and starts of each."""
-    dtype, limits, (side, each) = tolerance[0].dtype, how.limits, searches
+    dtype, (side, each) = tolerance[0].dtype, searches
     if start is None:
         start = _middle(model, dtype) if limits else model.joints.reference.astype(dtype)
     ranges = Ranges(model, dtype, limits)
@@ -232,13 +193,14 @@ def _inlined(
     others = random_configurations(model, key, side * each - 1, start, limits)
     moving, closed = split_tracers((model, goals, start, others, posture, weights, tolerance))
 
-    def one(start: jax.Array, others: jax.Array, moving: list) -> Found:
+    def one(start: jax.Array, others: jax.Array, moving: list) -> InverseKinematics:
         model, goals, _, _, posture, weights, tolerance = closed(moving)
-        return search(model, goals, start, others, posture, weights, tolerance, how)
+        args = (model, goals, start, others, posture, weights, tolerance)
+        return search(*args, iterations=iterations, limits=limits)
 
     run = compile_threads(one) if kernels_available() else one
 
-    def found(moving: list) -> Found:
+    def found(moving: list) -> InverseKinematics:
         _, _, start, others, _, weights, _ = closed(moving)
         if side == 1:
             return run(start, others, moving)
@@ -247,7 +209,7 @@ def _inlined(
 
     ruled = jax.custom_jvp(found)
 
-    def rule(primals: tuple, tangents: tuple) -> tuple[Found, Found]:
+    def rule(primals: tuple, tangents: tuple) -> tuple[InverseKinematics, InverseKinematics]:
         out = ruled(*primals)
 
         def at(moving: list, rate: Any) -> jax.Array:
@@ -260,29 +222,27 @@ def _inlined(
 
         _, rate = jax.jvp(known, primals, tangents)
         still = jax.tree.map(_no_tangent, out)
-        return out, still._replace(q=at(primals[0], rate))
+        return out, dataclasses.replace(still, q=at(primals[0], rate))
 
     ruled.defjvp(rule)
-    out = ruled(moving)
-    return InverseKinematics(
-        out.q, out.rotation, out.position, out.converged, out.iterations, out.start
-    )
+    return ruled(moving)
 
 
-_program = compiled(_inlined, static_argnames=("searches", "how"))
+_program = compiled(_inlined, static_argnames=("searches", "iterations", "limits"))
 
 
-def _best(found: Found, weights: Any) -> Found:
+def _best(found: InverseKinematics, weights: Any) -> InverseKinematics:
     """Return the result of the search that converged in the fewest steps, or else of the least
     error."""
-    side = found.converged.shape[0]
-    off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
+    side = found.success.shape[0]
+    off = jnp.hypot(weights[0] * found.rotation_error, weights[1] * found.position_error)
     last = jnp.where(jnp.isfinite(off), off, jnp.inf)
     turns = found.iterations.astype(off.dtype)
-    first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # converged ones are negative
+    first = jnp.where(found.success, turns - 1 - turns.max(), last)  # converged ones are negative
     i = jnp.argmin(first)
     out = jax.tree.map(lambda x: x[i], found)
-    return out._replace(iterations=found.iterations.sum(), start=out.start * side + i)
+    start = out.start * side + i
+    return dataclasses.replace(out, iterations=found.iterations.sum(), start=start)
 
 
 def _no_tangent(x: jax.Array) -> Any:
@@ -321,7 +281,7 @@ def _retract(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
 
 
 def _configuration_rate(
-    model: Model, goals: Any, posture: Any, limits: bool, found: Found, rate: Any
+    model: Model, goals: Any, posture: Any, limits: bool, found: InverseKinematics, rate: Any
 ) -> jax.Array:
     """Compute the derivative dq/dtheta (nq,) of the solution by the implicit function theorem.
 
@@ -339,7 +299,7 @@ def _configuration_rate(
         dq = matvec(J.T, y)
     else:
         dq = _configuration_rate_with_posture(model, goals, posture, q, J, free, rate)
-    dq = jnp.where(found.converged, dq, 0.0)
+    dq = jnp.where(found.success, dq, 0.0)
     return jax.jvp(lambda u: _retract(model, q, u), (jnp.zeros_like(dq),), (dq,))[1]
 
 

@@ -17,12 +17,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.kinematics.goals import Goal, GoalErrors, unrolled_driver
 from rbjax.kinematics.joint_ranges import Ranges
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 from rbjax.model import Model
+from rbjax.model.record import Record
 
 #: maximum number of rounds of the active set
 ROUNDS = 2
@@ -140,22 +142,43 @@ REST = 1e-10
 LONGEST = 1.0
 
 
-class Settings(NamedTuple):
-    """Compile-time settings of a search."""
+class InverseKinematics(Record):
+    """The result of `inverse_kinematics`.
 
-    iterations: int  # maximum number of iterations of each start
-    limits: bool  # whether joints stay within their ranges
+    q: configuration within the joint ranges, (nq,).
+    rotation_error: largest rotation error of any goal, rad.
+    position_error: largest position error of any goal, m.
+    success: true if both errors are within the tolerance.
+    iterations: total number of iterations of all starts.
+    start: index of the start that converged; 0 is the argument `start`.
+    """
 
+    q: jax.Array
+    rotation_error: jax.Array
+    position_error: jax.Array
+    success: jax.Array
+    iterations: jax.Array
+    start: jax.Array
 
-class Found(NamedTuple):
-    """Result of a search."""
-
-    q: jax.Array  # configuration, (nq,)
-    rotation: jax.Array  # largest error, rad
-    position: jax.Array  # largest error, m
-    converged: jax.Array  # true if the goals are met
-    iterations: jax.Array  # total number of iterations
-    start: jax.Array  # index of the start
+    def summary(self) -> str:
+        """Return "converged ..." or "closest pose ..."; for a batch, the number that converged."""
+        met = np.asarray(self.success)
+        rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
+        if met.ndim and met.all():
+            return f"converged: all {met.size}"
+        if met.ndim:
+            return (
+                f"{int(met.sum())} of {met.size} converged; the worst result is "
+                f"{np.max(position, where=~met, initial=0.0):.3g} m and "
+                f"{np.max(rotation, where=~met, initial=0.0):.3g} rad from its goal"
+            )
+        rest = f"{float(position):.3g} m and {float(rotation):.3g} rad from the goal"
+        if met:
+            return f"converged: {rest}, by start {int(self.start)}"
+        return (
+            f"closest pose: {rest}. No start reached it within the joint ranges: it may be out of "
+            "reach; more seeds or another key search further"
+        )
 
 
 class _SearchState(NamedTuple):
@@ -181,16 +204,19 @@ def search(
     posture: jax.Array | None,
     weights: tuple[Any, Any],
     tolerance: tuple[Any, Any],
-    how: Settings,
-) -> Found:
+    *,
+    iterations: int,
+    limits: bool,
+) -> InverseKinematics:
     """Search for the goals from each start in turn, and return the first solution or nearest pose.
 
     start: first start, (nq,).
     others: starts that follow, (n, nq).
     weights, tolerance: pairs, for rotation errors and for position errors.
+    iterations: maximum number for each start. limits: whether joints stay within their ranges.
     """
     dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
-    ranges, d = Ranges(model, dtype, how.limits), unrolled_driver(model, dtype)
+    ranges, d = Ranges(model, dtype, limits), unrolled_driver(model, dtype)
     least = LEAST * jnp.minimum(*(jnp.asarray(x, dtype) for x in tolerance))
     squares = [jnp.square(jnp.asarray(x, dtype)) for x in tolerance]
 
@@ -217,7 +243,7 @@ def search(
         over = jnp.where(
             polishing,
             (now.turn >= POLISH) | (longest <= REST),
-            (now.turn + 1 >= how.iterations) | (stuck > PATIENCE),
+            (now.turn + 1 >= iterations) | (stuck > PATIENCE),
         ) | ~jnp.isfinite(E)
         best = jnp.where(better, now.q, now.best)
         # at the last iteration, met goals suffice even if the posture has not converged
@@ -228,7 +254,7 @@ def search(
             row = others[jnp.clip(following - 1, 0, last - 2)]
             fresh = jnp.where(following < last, row, best)
         return _SearchState(
-            q=jnp.where(over, fresh, _stack(moved, dtype)),
+            q=jnp.where(over, fresh, jnp.stack([_array(x, dtype) for x in moved])),
             lowest=jnp.where(over, jnp.inf, jnp.where(fell, E, now.lowest)),
             stuck=jnp.where(over, 0, stuck),
             turn=jnp.where(over, 0, now.turn + 1),
@@ -248,14 +274,10 @@ def search(
         jnp.asarray(False), endless, endless,
     )  # fmt: skip
     end = jax.lax.while_loop(lambda now: ~now.done, iterate, first)
-    return Found(
+    return InverseKinematics(
         end.best, jnp.sqrt(end.rotation), jnp.sqrt(end.position), end.met, end.total, end.start
     )
 
 
 def _array(x: Lane, dtype: Any) -> jax.Array:
     return jnp.asarray(x, dtype)
-
-
-def _stack(q: Sequence[Lane], dtype: Any) -> jax.Array:
-    return jnp.stack([_array(x, dtype) for x in q])
