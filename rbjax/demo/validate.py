@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -24,10 +23,6 @@ SCENES = {
 }
 
 
-def _say(say: Callable[[str], None], scene: str, stage: str) -> None:
-    say(f"validation: {scene}, {stage}")
-
-
 def validate(
     folder: Path, say: Callable[[str], None], *, scenes: dict[str, bool] | None = None
 ) -> Section:
@@ -42,7 +37,7 @@ def validate(
                 mjx=False,
                 gradient=chosen[scene],
                 driver="auto" if chosen[scene] else "rolled",  # compiles faster
-                progress=functools.partial(_say, say, scene),
+                progress=lambda stage: say(f"validation: {scene}, {stage}"),
             )
 
     with ThreadPoolExecutor(2) as pool:  # XLA compiles one while Python traces another

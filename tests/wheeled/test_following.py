@@ -26,9 +26,7 @@ def from_circle(radius: float, q) -> np.ndarray:
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_commands_are_what_the_kinematic_robot_obeys(kind) -> None:
     """Shafts at these speeds and steerings at these angles move the chassis by the twist."""
-    robot = KINDS[kind].make(**({} if kind == "unicycle" else {"motor": SpeedServo(1.0)}))
-    if kind == "unicycle":
-        robot = KINDS[kind].make(motor=SpeedServo(1.0), yaw=SpeedServo(1.0))
+    robot = KINDS[kind].make(motor=SpeedServo(1.0))
     twist = np.array([0.8, 0.3 if robot.arrangement.mobility == 3 else 0.0, 0.25])
     found = wheeled.commands(robot, twist)
     base = wheeled.at(robot, "kinematic")

@@ -128,7 +128,7 @@ def write_pairs(draft: Draft, compiled: mujoco.MjModel) -> None:
         return
     if kept - found - {frozenset(known[i] for i in x) for x in explicit if set(x) <= set(known)}:
         _flag(draft, "filterparent")
-        copied = mujoco.MjModel.from_xml_string(_text(draft))
+        copied = mujoco.MjModel.from_xml_string(ET.tostring(draft.root, encoding="unicode"))
         found = pairs_by_name(copied, closed=model.contact is not None)
     bodies = {known[i]: geoms.bodies[i] for i in known}
     held = {frozenset(bodies[name] for name in pair) for pair in kept}
@@ -214,7 +214,3 @@ def _flag(draft: Draft, name: str) -> None:
 
 def _body(draft: Draft, body: int) -> str:
     return "world" if body == WORLD else draft.bodies[body].get("name", "")
-
-
-def _text(draft: Draft) -> str:
-    return ET.tostring(draft.root, encoding="unicode")

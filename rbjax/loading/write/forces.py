@@ -48,13 +48,10 @@ def write_forces(draft: Draft) -> list[Element]:
     for spring in springs:
         _write_spring(draft, spring)
     written += _write_fluids(draft, boxes, ellipsoids)
-    cables = [dataclasses.replace(x, joints=_joints(draft.model, x)) for x in cables]
+    joint = draft.model.joint
+    cables = [dataclasses.replace(x, joints=tuple(map(joint, x.joints))) for x in cables]
     write_cables(draft.root, cables, draft.joint)
     return written + cables
-
-
-def _joints(model: Model, cable: Cable) -> tuple[int, ...]:
-    return tuple(map(model.joint, cable.joints))
 
 
 def box_axes(model: Model) -> dict[int, Array]:

@@ -103,13 +103,13 @@ def indices(s: slice) -> range:
 
 
 def with_lanes(part: Any, dtype: Any) -> Any:
-    """Convert the numbers of a motor or tyre to lanes."""
-    return jax.tree.map(lambda x: lane_of_leaf(x, dtype), part)
+    """Convert the numbers of a motor or tyre to lanes. An array with one entry for each axis stays
+    an array."""
 
+    def lane(x: Any) -> Any:
+        return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
-def lane_of_leaf(x: Any, dtype: Any) -> Any:
-    """Convert a scalar to a lane. An array with one entry for each axis stays an array."""
-    return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
+    return jax.tree.map(lane, part)
 
 
 def parameters_of(robot: Robot, dtype: Any) -> Parameters:

@@ -60,7 +60,7 @@ def differential_drive(
 
 def unicycle(
     radius: float = 0.2, mass: float = 5.0, inertia: float = 0.1, wheel_mass: float = 1.0,
-    yaw: Motor | None = None, motor: Motor | None = None,
+    motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """Make a robot with one driven wheel, and a small omnidirectional wheel that drives
     sideways."""
@@ -69,8 +69,7 @@ def unicycle(
         _wheel([0.0, 0.0], **_disc(radius, wheel_mass)),
         _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_disc(radius / 4, wheel_mass / 10)),
     ]
-    drives = [*_drives(motor, (0,)), *_drives(yaw or motor, (1,))]
-    return Robot.of(_body(mass, inertia, height=radius), wheels, drives)
+    return Robot.of(_body(mass, inertia, height=radius), wheels, _drives(motor, (0,), (1,)))
 
 
 def omnidirectional(
