@@ -7,7 +7,7 @@ from typing import Any
 from rbjax.arguments import ArrayLike
 from rbjax.contact.registry import law_of
 from rbjax.contact.solution import ContactSolution
-from rbjax.dynamics.arguments import check_model
+from rbjax.dynamics.arguments import check_model, check_moves
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs, Source, inputs_at
@@ -57,8 +57,8 @@ def solve(
         reverse mode; those of the acceleration are implicit.
 
     Raises:
-        InputError: wrong shapes or dtypes, values that are not finite, a law that is not soft, a
-            model without contact parameters.
+        InputError: wrong shapes or dtypes, values that are not finite, an unknown law, a model
+            without joints or without contact parameters.
 
     Source: Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*,
     2014; MuJoCo, *Computation*, constraint model.
@@ -74,6 +74,7 @@ def solve(
     """
     given = inputs_at("contact.solve", model, Inputs(ctrl, tau, wrenches), t, state)
     check_model("contact.solve", model)
+    check_moves("contact.solve", model)
     law = law_of("contact.solve", model, contact)
     if isinstance(law, Record):  # its numbers may be traced
         return _solve(model, state, *given, t=t, dt=dt, law=law)

@@ -26,7 +26,7 @@ from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.in_use import InUse, wrenches_in_use
 from rbjax.contact.latched_disc import DiscSet, memory_width
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve
+from rbjax.contact.newton import ITERATIONS, Solution, check_iterations, factorize_at, solve
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem import Problem
 from rbjax.contact.soft import SoftContact
@@ -99,7 +99,7 @@ class CoulombContact:
         real_number(at, "share", self.share, least=0.0, most=1.0)
         real_number(at, "stiffness", self.stiffness, above=0.0, most=0.9999)
         integer(at, "rounds", self.rounds, least=1)
-        integer(at, "iterations", self.iterations, least=1)
+        check_iterations(at, self.iterations)
 
     def check(self, where: str, model: Model) -> None:
         """Raise InputError if the law has no parameters for a model."""
@@ -249,12 +249,12 @@ def _detected(problem: Problem, *, gap: bool = False) -> Problem:
 
     gap: whether to include the contacts in the gap, which have no force.
     """
-    world, slots = problem.touching, list[Any]()
+    slots = list[Any]()
     for contacts in problem.sets:
         if isinstance(contacts, DiscSet):
-            slots.append(contacts.collect(world, gap=gap))
+            slots.append(contacts.collect(problem.touching, gap=gap))
         else:
-            slots.append(Slots.collect(contacts, world, gap=gap))
+            slots.append(Slots.collect(contacts, problem.touching, gap=gap))
     return dataclasses.replace(problem, slots=slots, active_limits=problem.limits.active())
 
 

@@ -38,6 +38,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.contact.conjugate_gradients import products, solve_direction, weighted_square
 from rbjax.contact.problem import Problem, Stiff, add_row
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, unpack
@@ -53,6 +54,11 @@ SLOPE = 0.01
 NEAR = 10
 #: the length below which a step is short
 SHORT = 0.5
+
+
+def check_iterations(where: str, iterations: Any) -> None:
+    """Raise InputError unless `iterations` is a number of Newton steps."""
+    integer(where, "iterations", iterations, least=1, most=2**31 - 1)
 
 
 class Solution(NamedTuple):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
+from rbjax.arguments import real_number
 from rbjax.compiler import threads
 from rbjax.contact.assemble import Assembly
 from rbjax.contact.contact_forces import (
@@ -17,7 +18,14 @@ from rbjax.contact.contact_forces import (
     rows_of_slots,
 )
 from rbjax.contact.in_use import InUse
-from rbjax.contact.newton import ITERATIONS, Solution, factorize_at, solve, tolerance_of
+from rbjax.contact.newton import (
+    ITERATIONS,
+    Solution,
+    check_iterations,
+    factorize_at,
+    solve,
+    tolerance_of,
+)
 from rbjax.contact.problem import Problem
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solution import (
@@ -178,6 +186,9 @@ class SoftContact:
         dt: s, the step; None for the step of `step` and `rollout`, and elsewhere for the model's
             timestep.
 
+    Raises:
+        InputError: numbers outside their ranges.
+
     Source: Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*,
     2014; MuJoCo, *Computation*.
 
@@ -189,6 +200,11 @@ class SoftContact:
 
     iterations: int = ITERATIONS
     dt: Any = None
+
+    def __post_init__(self) -> None:
+        check_iterations("SoftContact", self.iterations)
+        if self.dt is not None:
+            real_number("SoftContact", "dt", self.dt, above=0.0, traced=True)
 
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces

@@ -180,6 +180,8 @@ def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
 
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
     """Check that a time step is a positive number, and cast it to the dtype."""
+    if isinstance(value, bool | np.bool_):
+        raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
     step = check_array(where, name, value, (), fix=": a positive step in seconds")
     if not isinstance(step, jax.core.Tracer) and not np.asarray(step) > 0:  # also while tracing
         raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")

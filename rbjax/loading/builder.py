@@ -10,8 +10,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.arguments import choice, real_array
+from rbjax.arguments import choice, real_array, real_number
 from rbjax.errors import InputError, UnknownName
+from rbjax.loading.builder_arguments import (
+    attributes,
+    found_by_name,
+    limits,
+    new_name,
+    pose,
+    vector,
+)
 from rbjax.loading.loader import load
 from rbjax.loading.mjcf.fields import matrix_of
 from rbjax.loading.sources import spec_of
@@ -54,9 +62,10 @@ class ModelBuilder:
         if source is None:
             self.spec.compiler.degree = False
         if gravity is not None:
-            self.spec.option.gravity = _vector("ModelBuilder", "gravity", gravity, 3)
+            self.spec.option.gravity = vector("ModelBuilder", "gravity", gravity, 3)
         if timestep is not None:
-            self.spec.option.timestep = timestep
+            step = real_number("ModelBuilder", "timestep", timestep, above=0.0)
+            self.spec.option.timestep = step
 
     def add_body(
         self, name: str, parent: str | None = None, *, position: Any = (0, 0, 0),
@@ -75,14 +84,20 @@ class ModelBuilder:
             inertia: kg m^2 about the com in the body's axes: (3,) diagonal, or (3, 3).
         """
         where = "ModelBuilder.add_body"
-        body = self._body(parent).add_body(name=name, **_pose(where, position, orientation))
+        given: dict[str, Any] = {"name": new_name(where, "body", name, self.spec.bodies)}
+        given |= pose(where, position, orientation)
         if mass is None:
+            self._body(parent).add_body(**given)
             return
-        body.mass, body.ipos = float(mass), _vector(where, "com", com, 3)
-        I = np.asarray(np.zeros(3) if inertia is None else inertia, float)
-        I = np.diag(_vector(where, "inertia", I, 3)) if I.ndim == 1 else I
+        mass, com = real_number(where, "mass", mass, least=0.0), vector(where, "com", com, 3)
+        I = real_array(where, "inertia", np.zeros(3) if inertia is None else inertia)
+        I = np.diag(vector(where, "inertia", I, 3)) if I.ndim == 1 else I
         if I.shape != (3, 3):
             raise InputError(f"{where}: inertia has shape {I.shape}, expected (3,) or (3, 3)")
+        if not np.allclose(I, I.T):
+            raise InputError(f"{where}: inertia is {I.tolist()}, expected a symmetric matrix")
+        body = self._body(parent).add_body(**given)
+        body.mass, body.ipos = mass, com
         body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
         body.explicitinertial = True
 
@@ -101,17 +116,20 @@ class ModelBuilder:
             range: (2,) rad or m, smallest and largest coordinate.
             numbers: MuJoCo's attributes damping, stiffness, springref, armature, frictionloss, ref.
         """
+        where = "ModelBuilder.add_joint"
         choice("kind of joint", kind, _JOINTS)
-        given: dict[str, Any] = {"name": name, "type": _JOINTS[kind]}
+        given: dict[str, Any] = {"name": new_name(where, "joint", name, self.spec.joints)}
+        given["type"] = _JOINTS[kind]
         if kind in ("hinge", "slide"):
-            given["axis"] = _vector("ModelBuilder.add_joint", "axis", axis, 3)
+            given["axis"] = vector(where, "axis", axis, 3)
         if kind != "free":
-            given["pos"] = _vector("ModelBuilder.add_joint", "position", position, 3)
+            given["pos"] = vector(where, "position", position, 3)
         if range is not None:
-            given["range"] = _vector("ModelBuilder.add_joint", "range", range, 2)
+            given["range"] = limits(where, "range", range)
         known = ("damping", "stiffness", "springref", "armature", "frictionloss", "ref")
         for key, x in numbers.items():
             choice("parameter of a joint", key, known)
+            x = real_number(where, key, x)
             polynomial = key in ("damping", "stiffness")
             given[key] = [x, 0.0, 0.0] if polynomial else x
         joint = self._body(body).add_joint(**given)
@@ -134,25 +152,35 @@ class ModelBuilder:
             orientation: (4,) quaternion.
             numbers: MuJoCo's attributes, such as friction, density, mass, contype, rgba.
         """
+        where = "ModelBuilder.add_geom"
         choice("kind of geom", kind, _GEOMS)
         sizes = np.zeros(3)
-        given = np.atleast_1d(np.asarray(size, float))
+        given = np.atleast_1d(real_array(where, "size", size))
+        if given.ndim > 1 or not 1 <= given.size <= 3:
+            raise InputError(f"{where}: size has shape {given.shape}, expected 1 to 3 numbers in m")
         sizes[: given.size] = given
-        pose = _pose("ModelBuilder.add_geom", position, orientation)
-        self._body(body).add_geom(name=name, type=_GEOMS[kind], size=sizes, **pose, **numbers)
+        name = new_name(where, "geom", name, self.spec.geoms)
+        numbers = attributes(where, numbers) | pose(where, position, orientation)
+        self._body(body).add_geom(name=name, type=_GEOMS[kind], size=sizes, **numbers)
 
     def add_site(
         self, name: str, body: str | None, *, position: Any = (0, 0, 0),
         orientation: Any = (1, 0, 0, 0),
     ) -> None:  # fmt: skip
         """Add a site (a frame) to a body, at position (3,) m with orientation (4,)."""
-        pose = _pose("ModelBuilder.add_site", position, orientation)
-        self._body(body).add_site(name=name, **pose)
+        where = "ModelBuilder.add_site"
+        name = new_name(where, "site", name, self.spec.sites)
+        self._body(body).add_site(name=name, **pose(where, position, orientation))
 
     def add_motor(self, name: str, joint: str, *, gear: float = 1.0, ctrlrange: Any = None) -> None:
         """Add a motor to a joint with the force gear times control, in N m or N."""
+        where = "ModelBuilder.add_motor"
         self._joint(joint)
-        given: dict[str, Any] = {} if ctrlrange is None else {"ctrlrange": ctrlrange}
+        name = new_name(where, "actuator", name, self.spec.actuators)
+        gear = real_number(where, "gear", gear)
+        given: dict[str, Any] = {}
+        if ctrlrange is not None:
+            given["ctrlrange"] = limits(where, "ctrlrange", ctrlrange)
         self.spec.add_actuator(
             name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT,
             gear=[gear, 0, 0, 0, 0, 0], **given,
@@ -172,12 +200,15 @@ class ModelBuilder:
             position: (3,) m.
             orientation: (4,) quaternion.
         """
-        pose = _pose("ModelBuilder.attach", position, orientation)
+        where = "ModelBuilder.attach"
+        if not isinstance(prefix, str):
+            raise InputError(f"{where}: prefix is {prefix!r}, expected a word")
+        placement = pose(where, position, orientation)
         other = _spec(source)
         floors = [x for x in other.worldbody.geoms if x.type == mujoco.mjtGeom.mjGEOM_PLANE]
         for x in (*other.keys, *floors):
             other.delete(x)
-        frame = self._body(parent).add_frame(**pose)
+        frame = self._body(parent).add_frame(**placement)
         self.spec.attach(other, prefix=prefix, frame=frame)
         self._forget_keyframes()
 
@@ -191,7 +222,7 @@ class ModelBuilder:
         body, kind = own.parent, mujoco.mjtJoint(own.type).name[6:].lower()
         n = {"ball": 4, "free": 7}.get(kind, 1)
         if q is not None:
-            _move(body, own, kind, _vector("ModelBuilder.lock", "q", q, n))
+            _move(body, own, kind, vector("ModelBuilder.lock", "q", q, n))
         spec = self.spec
         for x in (*spec.actuators, *spec.equalities, *spec.sensors):
             ends = [getattr(x, end, "") for end in ("target", "name1", "name2", "objname")]
@@ -211,13 +242,13 @@ class ModelBuilder:
     def _body(self, name: str | None) -> Any:
         if name is None:
             return self.spec.worldbody
-        found = self.spec.body(name)
+        found = found_by_name(self.spec.body, name)
         if found is None:
             raise UnknownName("body", name, [b.name for b in self.spec.bodies])
         return found
 
     def _joint(self, name: str) -> Any:
-        found = self.spec.joint(name)
+        found = found_by_name(self.spec.joint, name)
         if found is None:
             raise UnknownName("joint", name, [j.name for j in self.spec.joints])
         return found
@@ -231,19 +262,6 @@ def _spec(source: Any) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(write_mjcf(source))
     spec = spec_of(source)
     return mujoco.MjSpec.from_string(write_mjcf(load(source))) if spec is None else spec
-
-
-def _vector(where: str, name: str, value: Any, size: int) -> np.ndarray:
-    """Convert a value to an array (size,) of finite numbers, or raise InputError."""
-    found = real_array(where, name, value, f"({size},) numbers", ndim=1)
-    if found.size != size:
-        raise InputError(f"{where}: {name} has {found.size} numbers, expected {size}")
-    return found
-
-
-def _pose(where: str, position: Any, orientation: Any) -> dict[str, np.ndarray]:
-    quat = _vector(where, "orientation", orientation, 4)
-    return {"pos": _vector(where, "position", position, 3), "quat": quat}
 
 
 def _move(body: Any, joint: Any, kind: str, q: np.ndarray) -> None:

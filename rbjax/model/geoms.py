@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
+from rbjax.arguments import shown
 from rbjax.errors import InputError, listed
 from rbjax.model.hulls import Hull
 from rbjax.model.record import Record
 
 #: kind of a geom -> the number of entries of its size that must be positive
 SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
+#: static fields with an entry for each geom
+OF_EACH_GEOM = (
+    "names", "types", "bodies", "contype", "conaffinity", "condim", "priority", "group", "rgba",
+)  # fmt: skip
 
 
 class Geoms(Record):
@@ -87,12 +93,21 @@ class Geoms(Record):
         """Return a copy with the given fields changed. Arrays must keep their shapes.
 
         Raises:
-            InputError: a number is not finite, or a geom that may touch has no size.
+            InputError: a number is not finite, a geom that may touch has no size, a friction is
+                negative, a condim is not 1, 3, 4 or 6, or a pair is not two geoms.
 
         A `solref` of mixed signs is a warning. It counts as MuJoCo's default (0.02, 1).
         """
         new = super().replace(**changes)
+        _check_names_and_pairs(new, changes)
         touching = sorted({i for pair in new.pairs for i in pair})
+        for field in ("friction", "pair_friction"):
+            given = getattr(new, field)
+            if field in changes and not isinstance(given, jax.core.Tracer) and np.any(given < 0):
+                raise InputError(
+                    f"Geoms.replace({field}=...): got {float(np.min(given))}, expected numbers of "
+                    "at least 0"
+                )
         if "size" in changes and not isinstance(new.size, jax.core.Tracer):
             _check_sizes(new, touching)
         for field in ("solref", "pair_solref", "pair_solreffriction"):
@@ -100,6 +115,37 @@ class Geoms(Record):
             if field in changes and not isinstance(given, jax.core.Tracer):
                 _warn_of_mixed_signs(new, field, np.asarray(given), touching)
         return new
+
+
+def _check_names_and_pairs(geoms: Geoms, changes: Mapping[str, Any]) -> None:
+    """Raise InputError if a changed static field does not fit the number of geoms, or has a wrong
+    condim or pair."""
+    n, pairs = len(geoms.size), len(geoms.pairs)
+    for field in changes.keys() & {*OF_EACH_GEOM, "pair_condim"}:
+        given = getattr(geoms, field)
+        due = len(geoms.pair_friction) if field == "pair_condim" else n
+        if not isinstance(given, tuple) or len(given) != due:
+            raise InputError(
+                f"Geoms.replace({field}=...): got {shown(given)}, expected a tuple of {due} entries"
+            )
+        if field in ("condim", "pair_condim") and not set(given) <= {1, 3, 4, 6}:
+            raise InputError(
+                f"Geoms.replace({field}=...): got {given}, expected 1, 3, 4 or 6 of each"
+            )
+    if "pairs" in changes:
+        for pair in geoms.pairs:
+            known = isinstance(pair, tuple) and len(pair) == 2 and set(pair) <= set(range(n))
+            if not known or pair[0] == pair[1]:
+                raise InputError(
+                    f"Geoms.replace(pairs=...): got {shown(pair)}, expected the indices (0 to "
+                    f"{n - 1}) of two different geoms"
+                )
+        if pairs < len(geoms.pair_condim):
+            raise InputError(
+                f"Geoms.replace(pairs=...): got {pairs} pairs, expected the "
+                f"{len(geoms.pair_condim)} explicit ones of the file first; replace their fields, "
+                "pair_condim, pair_friction and others, too"
+            )
 
 
 def _check_sizes(geoms: Geoms, touching: list[int]) -> None:

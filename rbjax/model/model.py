@@ -33,6 +33,19 @@ from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 from rbjax.model.with_link import with_link
 
+#: the classes of the fields that are records; those of `OPTIONAL` may be None
+RECORDS = {
+    "bodies": Bodies, "joints": Joints, "actuators": Actuators, "sites": Sites,
+    "keyframes": Keyframes, "topology": Topology, "execution": Execution, "geoms": Geoms,
+    "tendons": Tendons, "solver": SolverParameters,
+}  # fmt: skip
+OPTIONAL = ("geoms", "tendons", "solver")
+#: the classes, for messages, and a method of the entries of the fields that are tuples
+TUPLES = {
+    "forces": ("rbjax.forces.Element", "loads"),
+    "constraints": ("rbjax.constraints.Constraint", "rows"),
+    "sensors": ("rbjax.sensors.NamedSensor", "columns"),
+}
 #: the number of axes of each leaf of one model, in the order of the leaves
 AXES = {
     "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
@@ -100,7 +113,11 @@ class Model(Record):
         """Return a copy with the given fields, or fields of `execution`, changed.
 
         Arrays must keep their shapes. Entries that `fix_zeros` has fixed keep their values.
+
+        Raises:
+            UnknownName: no such field. InputError: a value of another class, shape or dtype.
         """
+        changes = {name: _checked_part(name, value) for name, value in changes.items()}
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & PRECOMPUTED_FROM or "zeros" in how:
             how = {"constants": None, "weights": None} | how
@@ -341,3 +358,32 @@ class Model(Record):
 
 def _described(x: Any) -> str:
     return f"the class {x.__name__}" if isinstance(x, type) else type(x).__name__
+
+
+def _checked_part(name: str, value: Any) -> Any:
+    """Return the value of a field of a model, a list as a tuple. Raise InputError if its class is
+    wrong, or if two sensors have the same name."""
+    where = f"Model.replace({name}=...)"
+    kind = RECORDS.get(name)
+    missing = value is None and name in OPTIONAL
+    if kind is not None and not missing and not isinstance(value, kind):
+        more = " or None" if name in OPTIONAL else ""
+        raise InputError(
+            f"{where}: got {_described(value)}, expected {kind.__name__}{more}, such as "
+            f"model.{name}.replace(...)"
+        )
+    if name not in TUPLES:
+        return value
+    expected, method = TUPLES[name]
+    if not isinstance(value, tuple | list):
+        raise InputError(f"{where}: got {_described(value)}, expected a tuple of {expected}")
+    for one in value:
+        named = name != "sensors" or isinstance(getattr(one, "name", None), str)
+        if isinstance(one, type) or not callable(getattr(one, method, None)) or not named:
+            raise InputError(f"{where}: got {_described(one)} in it, expected {expected}")
+    if name == "sensors":
+        names = [one.name for one in value]
+        twice = [x for k, x in enumerate(names) if x in names[:k]]
+        if twice:
+            raise InputError(f"{where}: {twice[0]!r} is the name of two sensors, expected one")
+    return tuple(value)

@@ -15,6 +15,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer, real_array
+from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
 from rbjax.forces.context import Context
@@ -124,8 +126,21 @@ class Currents(JointSensor):
     units = ("A", "A")
     constant: jax.Array
 
+    def __check_init__(self) -> None:
+        if not isinstance(self.constant, jax.core.Tracer):
+            values = real_array("Currents", "constant", self.constant, "numbers (nv,) in N m/A")
+            if not values.all():
+                raise InputError("Currents: constant has a 0, expected N m/A of each dof")
+
+    def columns(self, model: Model) -> Columns:
+        if (shape := jnp.shape(self.constant)) not in ((), (model.nv,)):
+            raise InputError(
+                f"Currents: constant has shape {shape}, expected ({model.nv},), one of each dof"
+            )
+        return super().columns(model)
+
     def __call__(self, context: Context) -> jax.Array:
-        return Torques()(context) / self.constant
+        return Torques()(context) / jnp.asarray(self.constant, context.q.dtype)
 
 
 class OneJointSensor(FixedSensor):
@@ -283,6 +298,10 @@ class CustomSensor(Record):
     function: Callable[[Context], jax.Array] = eqx.field(static=True)
     size: int = eqx.field(static=True)
     of: str = eqx.field(static=True, default="")
+
+    def __check_init__(self) -> None:
+        check_takes("CustomSensor", "function", self.function, "context")
+        integer("CustomSensor", "size", self.size, least=1)
 
     def __call__(self, context: Context) -> jax.Array:
         return self.function(context)

@@ -49,11 +49,17 @@ class NamedSensor(Record):
             )
         for field in ("cutoff", "noise"):
             x = getattr(self, field)
-            if not isinstance(x, int | float) or not 0 <= x < math.inf:
+            if isinstance(x, bool) or not isinstance(x, int | float) or not 0 <= x < math.inf:
                 raise InputError(f"{where}: {field} is {x!r}, expected a number of at least 0")
 
     def __call__(self, context: Context) -> jax.Array:
+        due = (self.columns(context.model).size,)  # it names what the model does not have
         values = self.sensor(context)
+        if jnp.shape(values) != due:
+            raise InputError(
+                f"sensor {self.name!r}: the reading has shape {jnp.shape(values)}, expected {due}, "
+                f"the size of {type(self.sensor).__name__}"
+            )
         clipped = getattr(self.sensor, "clipped", "both")
         if not self.cutoff or not clipped:
             return values

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
@@ -56,7 +57,8 @@ class Volume(NamedTuple):
         return jnp.isfinite(INTERSECTIONS[self.kind](p, d, size).s)
 
 
-KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
+#: the number of entries of the size of each kind
+KINDS = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
 
 
 class VolumeSensor(FrameSensor):
@@ -77,6 +79,13 @@ class VolumeSensor(FrameSensor):
             )
         if self.volume.kind not in KINDS:
             raise UnknownName("kind of a volume", self.volume.kind, KINDS)
+        least = KINDS[self.volume.kind]
+        size = real_array(type(self).__name__, "the size of the volume", self.volume.size, ndim=1)
+        if not least <= size.size <= 3 or (size < 0).any():
+            raise InputError(
+                f"{type(self).__name__}: the size of the {self.volume.kind} is {self.volume.size}, "
+                f"expected {least} numbers of at least 0 in m, as of a geom"
+            )
 
 
 @register("insidesite", placed=True)

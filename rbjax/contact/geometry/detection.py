@@ -17,7 +17,7 @@ from rbjax.contact.geometry.candidates import PairKind, pair_contacts, pairs_of_
 from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
 from rbjax.contact.geometry.shapes import Shape, contact_frame, geom_shape, stack_shapes
 from rbjax.contact.parameters import pair_parameters
-from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.dynamics.arguments import check_arrays
 from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
@@ -87,8 +87,7 @@ def detect(
         >>> round(float(rb.contact.detect(model, model.default_state().q).distance[0]), 6)
         0.1
     """
-    check_model("detect", model)
-    q = check_array("detect", "q", q, (model.nq,))
+    q = check_arrays("detect", model, {"q": q})["q"]
     chosen = chosen_pairs("detect", model, pairs)
     if reach is not None:
         reach = real_number("detect", "reach", reach, finite=False, traced=True)

@@ -31,7 +31,7 @@ from rbjax.contact.impacts.point_velocity import (
 )
 from rbjax.contact.parameters import pair_parameters
 from rbjax.display import displayed
-from rbjax.dynamics.arguments import check_arrays
+from rbjax.dynamics.arguments import check_array, check_arrays
 from rbjax.errors import InputError, UnknownName, listed
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec
 from rbjax.model import Model, State
@@ -81,7 +81,7 @@ def impulse(
         model: the robot, with `model.geoms`.
         state: `State(q (nq,), v (nv,))` before the impact.
         pairs: names or indices of the geoms, two each; the pairs of the file if None.
-        restitution: e, one number or one a pair (pairs,); 0 is plastic.
+        restitution: e, one number or one a pair (pairs,), from 0 (plastic) to 1 (elastic).
         friction: mu, one number or one a pair; 0 is frictionless, jnp.inf sticks; the friction of
             the geoms if None.
         law: "newton", or "energetic" for one contact that touches.
@@ -93,7 +93,7 @@ def impulse(
         `Impulse`. Contacts farther apart, or that already separate, have no restitution.
 
     Raises:
-        InputError: the model has no geoms; shapes and dtypes; negative coefficients.
+        InputError: the model has no geoms; shapes and dtypes; coefficients out of range.
         UnknownName: no such geom or law. UnsupportedFeature: pairs without a closed form.
 
     Source: Brogliato, *Nonsmooth Mechanics*, ch. 4; Stronge, *Impact Mechanics*, ch. 3.
@@ -122,7 +122,8 @@ def impulse(
             "impulse(law='energetic'): friction is inf, expected a finite number: infinite "
             "friction would stop the slip before any normal impulse; law='newton' takes it"
         )
-    given = (model, checked.q, checked.v, e, mu, jnp.asarray(reach, dtype), jnp.asarray(t, dtype))
+    t = check_array("impulse", "t", t, ()).astype(dtype)
+    given = (model, checked.q, checked.v, e, mu, jnp.asarray(reach, dtype), t)
     return _program(*given, chosen, law, int(sweeps))
 
 
@@ -140,8 +141,8 @@ def check_pairs(where: str, model: Model, pairs: Any) -> Pairs:
 def check_coefficients(
     where: str, model: Model, pairs: Pairs, restitution: Any, friction: Any, dtype: Any
 ) -> tuple[jax.Array, jax.Array]:
-    """Return restitution and friction of each candidate (n,). Raise InputError if one is negative
-    or not a number; friction may be infinite."""
+    """Return restitution and friction of each candidate (n,). Raise InputError if a restitution is
+    not from 0 to 1, or a friction is negative or not a number; friction may be infinite."""
     if friction is None:
         friction = file_friction(model, pairs, dtype)
         _warn_of_rolling_friction(where, model, pairs)
@@ -149,11 +150,12 @@ def check_coefficients(
     for name, x in (("restitution", restitution), ("friction", friction)):
         found = coefficients(where, name, x, model, pairs, dtype)
         if not isinstance(found, jax.core.Tracer):
-            wrong = ~(found >= 0) if name == "friction" else ~((found >= 0) & jnp.isfinite(found))
+            limited = name == "restitution"  # above 1 an impact would create energy
+            wrong = ~((found >= 0) & (found <= 1)) if limited else ~(found >= 0)
             if wrong.any():
                 raise InputError(
-                    f"{where}: {name} is {float(found[wrong.argmax()])}, expected numbers not "
-                    "below zero"
+                    f"{where}: {name} is {float(found[wrong.argmax()])}, expected numbers "
+                    f"{'from 0 to 1' if limited else 'not below zero'}"
                 )
         out.append(found)
     return out[0], out[1]

@@ -111,7 +111,7 @@ class MoreauContact(Record):
 
         Args:
             model: the robot, with `model.geoms`.
-            restitution: e, one number or one a pair (pairs,).
+            restitution: e, one number or one a pair (pairs,), from 0 to 1.
             friction: mu, one number or one a pair; the friction of the geoms if None.
             correction: share of a penetration that a step removes, 0 to 1.
             rest_speed: m/s, closing speed below which there is no restitution.
@@ -120,7 +120,7 @@ class MoreauContact(Record):
 
         Raises:
             InputError: the model has no geoms; it has no pair, limit and friction loss; numbers
-                below zero.
+                out of range.
         """
         at = "MoreauContact.of"
         check_model(at, model)

@@ -36,6 +36,7 @@ from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers, with_implicit_jvp
+from rbjax.errors import InputError
 from rbjax.lanes import Lane, Vec3, add, batch_first, lu, matmat, matvec, mul, pack, unpack
 from rbjax.model import Model, prepare
 from rbjax.spatial import Force, Motion
@@ -62,6 +63,8 @@ def kinetic_energy(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
         >>> float(rb.kinetic_energy(model, model.default_state().q, model.default_state().v))
         0.0
     """
+    if not model.nv:
+        return jnp.zeros((), v.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     (twists,) = sweep(d, joints, TWIST)
@@ -115,12 +118,17 @@ def center_of_mass(model: Model, q: ArrayLike) -> jax.Array:
     Returns:
         (3,), m.
 
+    Raises:
+        InputError: the model has no bodies.
+
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("quadruped")
         >>> rb.center_of_mass(model, model.default_state().q).shape
         (3,)
     """
+    if not model.nb:
+        raise InputError("center_of_mass: the model has no bodies, expected one or more")
     _, com, mass = _centres(model, q)
     return _center(model, q, com, mass)
 
