@@ -43,12 +43,12 @@ def floating_array(
         InputError: not an array, another shape or dtype.
     """
     try:
-        x = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError) as error:
+        x = None if isinstance(value, str | bytes) else jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        x = None
+    if x is None:
         got = type(value).__name__
-        raise InputError(
-            f"{where}: {name} is {got}, expected an array of shape {expected}"
-        ) from error
+        raise InputError(f"{where}: {name} is {got}, expected an array of shape {expected}")
     if not fits(x.shape):
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}")
     if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:

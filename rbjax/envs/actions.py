@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.display import displayed
 from rbjax.envs.episode import EnvState, Params
 from rbjax.errors import InputError
@@ -170,10 +171,10 @@ class Increment:
 
 
 def _check(where: str, name: str, x: Any, model: Model) -> None:
-    if np.shape(x) not in ((), (model.nu,)):
-        raise InputError(
-            f"{where}: {name} has shape {np.shape(x)}, expected a number or ({model.nu},)"
-        )
+    """Raise InputError unless x is a finite number, or one of each control."""
+    shape = real_array(where, name, x).shape
+    if shape not in ((), (model.nu,)):
+        raise InputError(f"{where}: {name} has shape {shape}, expected a number or ({model.nu},)")
 
 
 def _clipped(model: Model, ctrl: jax.Array) -> jax.Array:

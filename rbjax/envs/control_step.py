@@ -18,9 +18,12 @@ import numpy as np
 
 from rbjax.dynamics.arguments import check_step
 from rbjax.envs.checks import (
+    array_of,
+    check_event,
     check_flag,
     check_noise,
     check_number,
+    check_robot,
     check_shape,
     check_start,
     check_vector,
@@ -79,12 +82,18 @@ class ControlStep:
         task, dtype = self.task, self.dtype
         start, random, delay, variable = jax.random.split(key, 4)
         drawn = {
-            r.name: jnp.asarray(r.draw(jax.random.fold_in(random, i), params), dtype)
+            r.name: array_of(
+                f"task {task.name!r}: draw of {r.name!r}",
+                r.draw(jax.random.fold_in(random, i), params),
+            ).astype(dtype)
             for i, r in enumerate(task.randomise)
         }
         params = self.with_drawn(params, drawn, constants=False)
         variables = {
-            v.name: jnp.asarray(v.start(jax.random.fold_in(variable, i), params))
+            v.name: array_of(
+                f"task {task.name!r}: start of {v.name!r}",
+                v.start(jax.random.fold_in(variable, i), params),
+            )
             for i, v in enumerate(task.variables)
         }
         model = params.model
@@ -142,7 +151,7 @@ class ControlStep:
         task = self.task
         params = self.with_drawn(params, state.drawn, constants=False)
         for i, e in enumerate(task.events):
-            state = e.apply(jax.random.fold_in(key, i), state, params)
+            state = check_event(task, e, e.apply(jax.random.fold_in(key, i), state, params))
         if "action" in self.delayed:
             buffer = jnp.concatenate([action[None], state.buffers["action"][:-1]])
             action = _row(buffer, state.delays["action"])
@@ -297,7 +306,7 @@ class ControlStep:
             return params
         model = params.model
         for r in self.task.randomise:
-            model = r.apply(model, drawn[r.name])
+            model = check_robot(self.task, r, r.apply(model, drawn[r.name]))
         return with_model(params, with_constants(model, self.dtype) if constants else model)
 
 

@@ -17,10 +17,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, integer
+from rbjax.arguments import flag, instance, integer
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.problem import Problem
 from rbjax.display import displayed
+from rbjax.dynamics.arguments import check_takes
 from rbjax.dynamics.drivers.choice import on_threads
 from rbjax.dynamics.tracing.algorithm import with_compiled_constants
 from rbjax.dynamics.tracing.one_sample import run_sample
@@ -194,6 +195,8 @@ class Environment:
             (10,)
         """
         integer("unroll", "steps", steps, least=1)
+        check_takes("unroll", "policy", policy, "obs", "key")
+        instance("unroll", "state", state, EnvState, "the rb.envs.EnvState that reset returned")
 
         def all_steps(own: tuple, params: Params) -> tuple:
             data, obs, state = own
@@ -274,6 +277,7 @@ class Environment:
 
     def _given(self, where: str, key: Any, state: Any, action: Any) -> tuple:
         data = _data(where, key)
+        instance(where, "state", state, EnvState, "the rb.envs.EnvState that reset returned")
         return data, state, check_shape(where, "action", action, (self.action_size,), self.dtype)
 
     def _params(self, params: Params | None) -> Params:

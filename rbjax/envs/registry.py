@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+from rbjax.arguments import choice
 from rbjax.envs.environment import Environment
 from rbjax.envs.task import Task
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Task])
 
@@ -89,13 +90,20 @@ def make(name: str, *, kernel: bool | None = None, **options: Any) -> Environmen
         >>> rb.envs.make("cart_pole_balance").observation_size
         5
     """
-    known = tasks()
-    if name not in known:
-        raise UnknownName("task", name, known)
-    accepted = list(inspect.signature(known[name]).parameters)
-    for option in options:
-        if option not in accepted:
-            raise UnknownName(f"option of task {name!r}", option, accepted)
-    env = Environment(known[name](**options), kernel=kernel)
+    env = Environment(task_function(name, options)(**options), kernel=kernel)
     env.name, env.options = name, dict(options)
     return env
+
+
+def task_function(name: Any, options: Mapping[str, Any]) -> Callable[..., Task]:
+    """Return the function of a named task.
+
+    Raises:
+        UnknownName: no such task, or an option that it does not have.
+    """
+    known = tasks()
+    choice("task", name, known)
+    accepted = list(inspect.signature(known[name]).parameters)
+    for option in options:
+        choice(f"option of task {name!r}", option, accepted)
+    return known[name]

@@ -14,11 +14,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.arguments import flag, real_array
 from rbjax.display import displayed
+from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.actions import Direct
 from rbjax.envs.episode import Params
 from rbjax.envs.task_table import task_display
+from rbjax.errors import InputError
 from rbjax.model import Model, State
 
 
@@ -150,7 +154,7 @@ def random_scale(
         (2,)
     """
     return Randomisation(
-        name, _uniform(where, low, high, each),
+        name, _uniform("random_scale", name, where, low, high, each),
         lambda model, value: _changed(model, where, lambda x: x * value),
     )  # fmt: skip
 
@@ -176,7 +180,7 @@ def random_offset(
         'com'
     """
     return Randomisation(
-        name, _uniform(where, low, high, each),
+        name, _uniform("random_offset", name, where, low, high, each),
         lambda model, value: _changed(model, where, lambda x: x + value),
     )  # fmt: skip
 
@@ -185,10 +189,28 @@ def _changed(model: Model, where: Callable, change: Callable) -> Model:
     return eqx.tree_at(where, model, jax.tree.map(change, where(model)))
 
 
-def _uniform(where: Callable, low: Any, high: Any, each: bool) -> Callable:
+def _uniform(
+    of: str, name: str, where: Callable, low: Any, high: Any, each: bool
+) -> Callable[[jax.Array, Params], jax.Array]:
+    """Return the draw of a `Randomisation`. of: the function that makes it, for messages."""
+    check_takes(of, "where", where, "model")
+    flag(of, "each", each)
+    lowest, highest = real_array(of, "low", low), real_array(of, "high", high)
+    shapes = {lowest.shape, highest.shape} - {()}
+    if len(shapes) > 1 or not np.all(lowest <= highest):
+        raise InputError(
+            f"{of}: low is {low} and high {high}, expected low of at most high, of one shape"
+        )
+
     def draw(key: jax.Array, params: Params) -> jax.Array:
         leaf = jax.tree.leaves(where(params.model))[0]
-        least, most = jnp.asarray(low, leaf.dtype), jnp.asarray(high, leaf.dtype)
+        for end, x in (("low", lowest), ("high", highest)):
+            if x.shape not in ((), leaf.shape):
+                raise InputError(
+                    f"{of}: {end} of {name!r} has shape {x.shape}, expected a number or "
+                    f"{leaf.shape}, the shape of the leaf"
+                )
+        least, most = jnp.asarray(lowest, leaf.dtype), jnp.asarray(highest, leaf.dtype)
         share = jax.random.uniform(key, leaf.shape if each else (), leaf.dtype)
         return least + share * (most - least)
 

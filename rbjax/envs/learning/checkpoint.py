@@ -11,22 +11,53 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.envs.learning.networks import Network, Normaliser
+from rbjax.arguments import instance, shown
+from rbjax.envs.learning.networks import ACTIVATIONS, Network, Normaliser
 from rbjax.envs.learning.policy import Policy
-from rbjax.envs.registry import make
+from rbjax.envs.registry import make, task_function
 from rbjax.errors import InputError
 from rbjax.optional import require
 
 FORMAT = 1
+#: what to do about a checkpoint that cannot be read
+AGAIN = "train again with this version of rbjax"
+#: names of folders of arrays
+ARRAYS = re.compile(r"parameters(-\d+)?")
+
+
+def _is_count(x: Any) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool) and x > 0
+
+
+#: the entries of "policy" in policy.json: whether a value fits, and the expected one
+POLICY: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "sizes": (
+        lambda x: isinstance(x, list) and len(x) > 1 and all(map(_is_count, x)),
+        "sizes of layers",
+    ),
+    "activation": (
+        lambda x: isinstance(x, str) and x in ACTIVATIONS,
+        f"one of {list(ACTIVATIONS)}",
+    ),
+    "actions": (_is_count, "a number of actions"),
+    "squash": (lambda x: isinstance(x, bool), "true or false"),
+    "normalised": (lambda x: isinstance(x, bool), "true or false"),
+    "noise": (lambda x: isinstance(x, bool), "true or false"),
+    "limit": (
+        lambda x: x is None or (isinstance(x, int | float) and x > 0),
+        "a number above zero, or null",
+    ),
+}
 
 
 def save_policy(
@@ -49,6 +80,7 @@ def save_policy(
         The path of the folder.
 
     Raises:
+        UnknownName: no such task, or an option that it does not have.
         InputError: orbax is not installed, a policy of another kind, or options that JSON cannot
             represent.
 
@@ -69,7 +101,12 @@ def save_policy(
             f"save_policy: the policy's network is {kind}, expected a Policy with a network of "
             "rb.envs.learning.network"
         )
-    folder = Path(path).expanduser().absolute()
+    if options is not None and not isinstance(options, Mapping):
+        raise InputError(f"save_policy: options is {shown(options)}, expected a dict of options")
+    task_function(task, options or {})  # else load_policy could not make the environment
+    folder = _folder("save_policy", path)
+    if folder.is_file():
+        raise InputError(f"save_policy: {path} is a file, expected a folder")
     head: dict[str, Any] = {
         "format": FORMAT,
         "task": task,
@@ -109,28 +146,34 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
         policy: `Policy`; `policy(obs, key)` returns an action, without a key the mean action.
 
     Raises:
-        InputError: not such a folder, or orbax is not installed.
+        UnknownName: the task or an option of it is not registered.
+        InputError: not such a folder, files that do not fit, or orbax is not installed.
 
     See `save_policy` for an example.
     """
-    folder = Path(path).expanduser().absolute()
+    folder = _folder("load_policy", path)
     file = folder / "policy.json"
     if not file.is_file():
         raise InputError(
             f"load_policy: {path} has no policy.json, expected a folder that rbjax train or "
             "save_policy wrote"
         )
-    head = json.loads(file.read_text())
-    if head.get("format") != FORMAT:
-        raise InputError(
-            f"load_policy: {path} has format {head.get('format')}, expected {FORMAT}; train again "
-            "with this version of rbjax"
-        )
+    head = read_head(file)
     policy = _like(head["policy"])
-    arrays = _orbax("load_policy").restore(
-        folder / head.get("arrays", "parameters"), _arrays(policy)
-    )
+    try:
+        arrays = _orbax("load_policy").restore(folder / head["arrays"], _arrays(policy))
+    except (ValueError, OSError, KeyError) as error:
+        raise InputError(
+            f"load_policy: {folder / head['arrays']} does not contain the arrays of policy.json: "
+            f"{str(error).splitlines()[0]}; {AGAIN}"
+        ) from error
     arrays = {name: jnp.asarray(x) for name, x in arrays.items()}
+    for name, like in _arrays(policy).items():
+        if arrays[name].shape != like.shape:
+            raise InputError(
+                f"load_policy: {name} has shape {arrays[name].shape}, and policy.json has "
+                f"{like.shape}; {AGAIN}"
+            )
     network = Network(
         tuple(arrays[f"weight_{k}"] for k in range(len(policy.network.weights))),
         tuple(arrays[f"bias_{k}"] for k in range(len(policy.network.biases))),
@@ -144,6 +187,45 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
         network, statistics, arrays.get("log_std"), arrays["low"], arrays["high"], policy.squash
     )
     return make(head["task"], **head["options"]), made
+
+
+def read_head(file: Path) -> dict[str, Any]:
+    """Read policy.json, and check that its entries are those of `save_policy`."""
+
+    def wrong(what: str) -> InputError:
+        return InputError(f"load_policy: {file} {what}; {AGAIN}")
+
+    try:
+        head = json.loads(file.read_text())
+    except ValueError as error:
+        raise wrong(f"is not JSON ({error})") from error
+    if not isinstance(head, dict):
+        raise wrong(f"is {shown(head)}, expected an object")
+    if head.get("format") != FORMAT:
+        raise wrong(f"has format {head.get('format')}, expected {FORMAT}")
+    head.setdefault("arrays", "parameters")
+    checks: dict[str, tuple[Callable[[Any], bool], str]] = {
+        "task": (lambda x: isinstance(x, str), "a name"),
+        "options": (lambda x: isinstance(x, dict), "an object"),
+        "policy": (lambda x: isinstance(x, dict), "an object"),
+        "arrays": (lambda x: isinstance(x, str) and ARRAYS.fullmatch(x) is not None, "its folder"),
+    }
+    for name, (fits, expected) in checks.items():
+        if not fits(head.get(name)):
+            raise wrong(f"has {name} {shown(head.get(name))}, expected {expected}")
+    for name, (fits, expected) in POLICY.items():
+        if not fits(head["policy"].get(name)):
+            found = shown(head["policy"].get(name))
+            raise wrong(f"has policy.{name} {found}, expected {expected}")
+    if head["policy"]["normalised"] and head["policy"].get("limit") is None:
+        raise wrong("has no policy.limit, expected that of the normalised observations")
+    task_function(head["task"], head["options"])
+    return head
+
+
+def _folder(where: str, path: Any) -> Path:
+    instance(where, "path", path, str | os.PathLike, "a path of a folder")
+    return Path(path).expanduser().absolute()
 
 
 def _like(head: Mapping[str, Any]) -> Policy:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 from rbjax.arguments import instance, integer, real_number
+from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.environment import Environment
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key
+from rbjax.kinematics.arguments import check_key, check_several
 
 
 def check_training(
-    where: str, env: Any, key: Any, iterations: int, batch: int, optimiser: Any
-) -> None:
+    where: str, env: Any, key: Any, iterations: int, batch: int, optimiser: Any, report: Any,
+    seconds: Any = None,
+) -> None:  # fmt: skip
     """Raise InputError unless these are arguments of a training."""
     instance(where, "env", env, Environment, "an rb.envs.Environment, such as rb.envs.make(name)")
     check_key(where, key)
@@ -23,6 +26,33 @@ def check_training(
         )
     integer(where, "iterations", iterations, least=1)
     integer(where, "batch", batch, least=1)
+    check_takes(where, "report", report, "steps", "figures", "policy")
+    if seconds is not None:
+        real_number(where, "seconds", seconds, above=0.0)
+
+
+def check_hidden(where: str, hidden: Any) -> tuple[int, ...]:
+    """Return the sizes of hidden layers as a tuple."""
+    sizes = check_several(where, "hidden", hidden, "sizes of layers, such as (64, 64)")
+    return tuple(integer(where, f"hidden[{k}]", n, least=1) for k, n in enumerate(sizes))
+
+
+def check_std(where: str, std: Any) -> None:
+    """Raise InputError unless a standard deviation is above zero, or None for no noise."""
+    if std is not None:
+        real_number(where, "std", std, above=0.0)
+
+
+def warn_of_skipped(where: str, skipped: Any, iterations: int) -> None:
+    """Warn if more than a tenth of the updates of a training were skipped."""
+    count = int(skipped)
+    if 10 * count > iterations:
+        warnings.warn(
+            f"{where}: {count} of {iterations} updates were skipped, because their gradients were "
+            "not finite, and the policy has not learned from them; see `failed` of the reports, "
+            "and check the policy, the initial states and the rewards for NaN",
+            stacklevel=3,
+        )
 
 
 def check_discount(where: str, name: str, discount: Any) -> None:

@@ -11,6 +11,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from rbjax.arguments import flag, instance
+from rbjax.envs.environment import Environment
+from rbjax.envs.learning.checks import check_hidden
 from rbjax.envs.learning.networks import Normaliser, network, normaliser
 from rbjax.envs.learning.policy import critic_group, group_size
 from rbjax.model.record import Record
@@ -65,9 +68,11 @@ def new_critic(
         >>> critic(env.reset(jax.random.key(1))[0]).shape
         ()
     """
-    size = group_size(env, "critic")
-    net = network(key, (size, *hidden, 1), "elu", last=0.01)
-    return Critic(net, normaliser(size) if normalise else None)
+    instance("new_critic", "env", env, Environment, "an rb.envs.Environment")
+    flag("new_critic", "normalise", normalise)
+    sizes = group_size(env, "critic"), *check_hidden("new_critic", hidden), 1
+    net = network(key, sizes, "elu", last=0.01)
+    return Critic(net, normaliser(sizes[0]) if normalise else None)
 
 
 def fit_critic(

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import flag, instance, integer
 from rbjax.display import displayed
+from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.batch_step import batch_step
 from rbjax.envs.environment import Environment
 from rbjax.kinematics.arguments import check_key
@@ -81,6 +82,8 @@ def evaluate(
     instance("evaluate", "env", env, Environment, "an rb.envs.Environment")
     check_key("evaluate", key)
     integer("evaluate", "episodes", episodes, least=1)
+    flag("evaluate", "noise", noise)
+    check_takes("evaluate", "policy", policy, "obs", "key")
     one, two = jax.random.split(key)
 
     @jax.jit

@@ -19,8 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from rbjax.arguments import instance
 from rbjax.compiler import fast_compile
 from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_several
 
 AXIS = "samples"  # of the mesh of devices
 SAME, EACH = PartitionSpec(), PartitionSpec(AXIS)
@@ -52,7 +54,9 @@ def devices_of(where: str, given: int | Sequence[Any] | None, batch: int) -> tup
             )
         found = tuple(present[:count])
     else:
-        found = tuple(given)
+        found = check_several(where, "devices", given, "devices of JAX, such as jax.devices()")
+        for one in found:
+            instance(where, "devices", one, jax.Device, "devices of JAX, such as jax.devices()")
     if not found or batch % len(found):
         raise InputError(
             f"{where}: a batch of {batch} on {len(found)} devices, expected a multiple of their "

@@ -13,7 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import flag, instance
 from rbjax.envs.actions import action_center_and_scale
+from rbjax.envs.environment import Environment
+from rbjax.envs.learning.checks import check_hidden, check_std
 from rbjax.envs.learning.networks import Normaliser, network, normaliser
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -122,8 +125,11 @@ def new_policy(
         >>> policy(obs).shape
         (1,)
     """
+    instance("new_policy", "env", env, Environment, "an rb.envs.Environment")
+    check_std("new_policy", std)
+    flag("new_policy", "normalise", normalise)
     size, na = group_size(env, "policy"), env.action_size
-    net = network(key, (size, *hidden, na), activation)
+    net = network(key, (size, *check_hidden("new_policy", hidden), na), activation)
     return wrap(env, net, normaliser(size) if normalise else None, std)
 
 

@@ -11,6 +11,7 @@ Sources: Schulman et al., *Proximal policy optimization algorithms*, 2017; Freem
 from __future__ import annotations
 
 import functools
+import inspect
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,10 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, integer
 from rbjax.envs.adapters import to_brax, wrap_brax
 from rbjax.envs.learning.brax_networks import convert_critic, convert_policy
-from rbjax.envs.learning.checks import check_discount, check_training
+from rbjax.envs.learning.checks import check_discount, check_hidden, check_training
 from rbjax.envs.learning.critic import Critic
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.learning.trained import Report, Trained, no_report
@@ -93,7 +94,11 @@ def ppo(
         >>> rb.envs.learning.settings("cart_pole_balance", "ppo", "gpu")["unroll_length"]
         30
     """
-    check_training("ppo", env, key, 1, num_envs, None)
+    check_training("ppo", env, key, 1, num_envs, None, report, seconds)
+    policy_hidden, value_hidden = (check_hidden("ppo", x) for x in (policy_hidden, value_hidden))
+    for name in ("batch_size", "num_minibatches"):
+        if name in settings:
+            integer("ppo", name, settings[name], least=1)
     integer("ppo", "steps", steps, least=1)
     integer("ppo", "reports", reports, least=1)
     check_discount("ppo", "discounting", discounting)
@@ -112,14 +117,17 @@ def ppo(
     brax_env = to_brax(env, params)
     make_ppo_networks = require("ppo", "brax.training.agents.ppo.networks").make_ppo_networks
     brax_train = require("ppo", "brax.training.agents.ppo.train").train
+    known = list(inspect.signature(brax_train).parameters)
+    for name in settings:
+        choice("setting of PPO of Brax", name, known)
     groups = brax_env.observation_size
     critic_group = "state"
     if isinstance(groups, dict) and "privileged_state" in groups:
         critic_group = "privileged_state"
     factory = functools.partial(
         make_ppo_networks,
-        policy_hidden_layer_sizes=tuple(policy_hidden),
-        value_hidden_layer_sizes=tuple(value_hidden),
+        policy_hidden_layer_sizes=policy_hidden,
+        value_hidden_layer_sizes=value_hidden,
         value_obs_key=critic_group,
     )
     began, rewards, last = time.perf_counter(), [], {}

@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from rbjax.arguments import integer, real_number
-from rbjax.envs.learning.checks import check_discount, check_training
-from rbjax.envs.learning.critic import fit_critic, follow, new_critic, weights_of
+from rbjax.arguments import instance, integer, real_number
+from rbjax.envs.learning.checks import check_discount, check_training, warn_of_skipped
+from rbjax.envs.learning.critic import Critic, fit_critic, follow, new_critic, weights_of
 from rbjax.envs.learning.iterations import EACH, SAME, devices_of, over_devices, run_iterations
 from rbjax.envs.learning.policy import as_policy, new_policy, split_policy
 from rbjax.envs.learning.samples import (
@@ -138,7 +138,7 @@ def shac(
         (1,)
     """
     where = "shac"
-    check_training(where, env, key, iterations, batch, optimiser)
+    check_training(where, env, key, iterations, batch, optimiser, report, seconds)
     integer(where, "horizon", horizon, least=1)
     integer(where, "critic_steps", critic_steps, least=0)
     integer(where, "warm_up", warm_up, least=0)
@@ -158,6 +158,8 @@ def shac(
         real_number(where, name, x, above=0.0)
     if gradient_limit is not None:
         real_number(where, "gradient_limit", gradient_limit, above=0.0)
+    if critic is not None:
+        instance(where, "critic", critic, Critic, "a Critic, such as that of new_critic")
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
@@ -230,4 +232,5 @@ def shac(
         chunks=reports, report=report_chunk, seconds=seconds,
     )  # fmt: skip
     policy, critic = eqx.combine((last.policy, last.critic), static)
+    warn_of_skipped(where, last.skipped, len(figures["reward"]))
     return Trained(policy, critic, figures["reward"], last.skipped)

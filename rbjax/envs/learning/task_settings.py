@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 
+from rbjax.arguments import choice
 from rbjax.envs.registry import tasks
 from rbjax.errors import UnknownName
 
@@ -120,6 +121,8 @@ def settings(
         raise UnknownName("algorithm", algorithm, ALGORITHMS)
     if task is not None and task not in tasks():
         raise UnknownName("task", task, tasks())
+    if backend is not None:
+        choice("backend", backend, ("cpu", "gpu", "tpu"))
     backend = jax.default_backend() if backend is None else backend
     own = TASKS.get(task, {}) if task is not None else {}
     found = (PPO if algorithm == "ppo" else SHAC) | dict(own.get(algorithm, {}))

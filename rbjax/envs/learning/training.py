@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from rbjax.arguments import flag, integer, real_number
+from rbjax.arguments import choice, flag, instance, integer, real_number, shown
 from rbjax.envs.environment import Environment
 from rbjax.envs.learning.checkpoint import save_policy
 from rbjax.envs.learning.proximal import ppo
@@ -77,6 +78,10 @@ def train(
         integer("train", "steps", steps, least=1)
     if seconds is not None:
         real_number("train", "seconds", seconds, above=0.0)
+    if options is not None and not isinstance(options, Mapping):
+        raise InputError(f"train: options is {shown(options)}, expected a dict of options")
+    if out is not None:
+        instance("train", "out", out, str | Path, "a path of a folder")
     if isinstance(task, Environment) and options:
         raise InputError("train: options need the name of a task, got an Environment")
     env = task if isinstance(task, Environment) else make(task, **(options or {}))
@@ -111,8 +116,14 @@ def train(
 def shac_arguments(chosen: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of `shac`: iterations from the number of steps."""
     found = dict(chosen)
-    per_iteration = found.get("batch", 256) * found.get("horizon", 32)
-    reports = found.get("reports", 1)
+    known = list(inspect.signature(shac).parameters)
+    for name in found.keys() - {"steps"}:
+        choice("setting of SHAC", name, known)
+    batch, horizon, reports = (
+        integer("train", name, found.get(name, default), least=1)
+        for name, default in (("batch", 256), ("horizon", 32), ("reports", 1))
+    )
+    per_iteration = batch * horizon
     iterations = max(1, round(found.pop("steps") / per_iteration))
     if iterations > reports:  # reports of equal length
         iterations = reports * round(iterations / reports)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 
 from rbjax.arguments import integer, real_number
-from rbjax.envs.learning.checks import check_training
+from rbjax.envs.learning.checks import check_training, warn_of_skipped
 from rbjax.envs.learning.iterations import SAME, devices_of, over_devices, run_iterations
 from rbjax.envs.learning.policy import as_policy, split_policy
 from rbjax.envs.learning.samples import Samples, at_progress, figures_of, move_samples
@@ -71,7 +71,7 @@ def through_time(
         >>> found.rewards.shape
         (1,)
     """
-    check_training("through_time", env, key, iterations, batch, optimiser)
+    check_training("through_time", env, key, iterations, batch, optimiser, report)
     real_number("through_time", "rate", rate, above=0.0)
     integer("through_time", "reports", reports, least=1)
     policy = as_policy("through_time", env, policy)
@@ -123,4 +123,5 @@ def through_time(
         turn, begin, (arrays, key), iterations, layout=SAME, devices=where_to_run, chunks=reports,
         report=report_chunk,
     )  # fmt: skip
+    warn_of_skipped("through_time", last[3], iterations)
     return Trained(eqx.combine(last[0], static), None, figures["reward"], last[3])

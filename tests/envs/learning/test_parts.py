@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import pytest
 
 import rbjax as rb
 from rbjax.envs.actions import action_center_and_scale
@@ -15,7 +14,6 @@ from rbjax.envs.learning.targets import objective, value_targets
 from rbjax.envs.learning.task_settings import ALGORITHMS, PPO, settings
 from rbjax.envs.learning.training import shac_arguments
 from rbjax.envs.learning.updates import apply_update
-from rbjax.errors import InputError, UnknownName
 from tests.envs.learning.pole import KEY, environment
 
 
@@ -178,23 +176,3 @@ def test_settings_fit_the_learners():
         iterations = [x["steps"] // x["batch"] // x["horizon"] for x in (on_gpu, on_cpu)]
         assert on_cpu["batch"] == 128 <= on_gpu["batch"] and iterations[0] == iterations[1]
     assert ALGORITHMS == ("ppo", "shac")
-    with pytest.raises(UnknownName, match="algorithm"):
-        settings(None, "sac")
-    with pytest.raises(UnknownName, match="task 'another'"):
-        settings("another")
-
-
-@pytest.mark.parametrize(
-    "call, error, said",
-    [
-        (lambda: network(KEY, (4,)), InputError, "sizes is"),
-        (lambda: network(KEY, (4, 1), "relu6"), UnknownName, "activation of network"),
-        (lambda: rb.envs.learning.train("no_task", "ppo"), UnknownName, "task"),
-        (lambda: rb.envs.learning.train("no_task", "sac"), UnknownName, "algorithm"),
-        (lambda: rb.envs.learning.train("no_task", steps=0), InputError, "steps is 0"),
-        (lambda: rb.envs.learning.train(environment(), options={"a": 1}), InputError, "options"),
-    ],
-)
-def test_bad_input(call, error, said):
-    with pytest.raises(error, match=said):
-        call()

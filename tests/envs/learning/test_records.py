@@ -10,7 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.envs import Environment
-from rbjax.envs.learning import Monitor, load_policy, network, new_policy, save_policy, train
+from rbjax.envs.learning import Monitor, load_policy, new_policy, save_policy, train
 from rbjax.envs.learning.report import _sentence, write_table
 from rbjax.errors import InputError
 from tests.envs.learning.pole import KEY, environment
@@ -138,16 +138,3 @@ def test_the_command(tmp_path, pole, monkeypatch):
     monkeypatch.undo()
     result = CliRunner().invoke(app, ["train", "no_task"])
     assert result.exit_code == 2 and "no_task" in result.stderr
-
-
-def test_bad_input(tmp_path, pole):
-    with pytest.raises(InputError, match=r"no policy\.json"):
-        load_policy(tmp_path)
-    with pytest.raises(InputError, match="network is Network"):
-        save_policy(tmp_path, network(KEY, (4, 1)), pole)
-    policy = new_policy(environment(), KEY, (3,))
-    with pytest.raises(InputError, match="not plain data"):
-        save_policy(tmp_path, policy, pole, {"start": environment})
-    (tmp_path / "policy.json").write_text('{"format": 0}')
-    with pytest.raises(InputError, match="has format 0"):
-        load_policy(tmp_path)

@@ -12,7 +12,6 @@ from rbjax.envs import Observation, Reward
 from rbjax.envs.learning import network, new_critic, new_policy, shac, through_time
 from rbjax.envs.learning.samples import Samples, draw_samples, limit_gradient, move_samples
 from rbjax.envs.learning.targets import objective
-from rbjax.errors import InputError
 from tests.envs.learning.pole import KEY, environment, observe, start
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -154,7 +153,8 @@ def test_updates_that_are_skipped_are_counted():
             return jnp.sqrt(self.gain) * obs[:1]
 
     env = environment(episode=2)
-    found = through_time(env, Odd(jnp.asarray(0.0)), KEY, iterations=2, batch=2)
+    with pytest.warns(UserWarning, match="2 of 2 updates were skipped, because their gradients"):
+        found = through_time(env, Odd(jnp.asarray(0.0)), KEY, iterations=2, batch=2)
     assert found.skipped == 2 and found.policy.network.gain == 0
 
 
@@ -219,29 +219,6 @@ def test_a_swing_up_is_learned():
 
     row = training.by_gradients(training.environment(), 0, 300, 128)
     assert row["success"] > 0.9 and row["skipped"] == 0
-
-
-@pytest.mark.parametrize(
-    "call, said",
-    [
-        (lambda env: shac(1, KEY), "env is 1"),
-        (lambda env: shac(env, KEY, 3.0), "policy is float"),
-        (lambda env: shac(env, KEY, network(KEY, (4, 3))), "shape"),
-        (lambda env: shac(env, KEY, network(KEY, (3, 1))), "fails for an observation"),
-        (lambda env: shac(env, KEY, lambda o: o[:1]), "no floating"),
-        (lambda env: shac(env, KEY, discount=2.0), "discount is 2"),
-        (lambda env: shac(env, KEY, discount=1.0), "factor 1 - discount"),
-        (lambda env: shac(env, KEY, iterations=3, warm_up=3), "never updated"),
-        (lambda env: shac(env, KEY, horizon=0), "horizon is 0"),
-        (lambda env: shac(env, KEY, rate=-1.0), "rate is -1"),
-        (lambda env: shac(env, KEY, devices=1000), "devices is 1000"),
-        (lambda env: shac(env, KEY, optimiser=1), "optimiser is 1"),
-        (lambda env: through_time(env, network(KEY, (4, 1)), KEY, batch=0), "batch is 0"),
-    ],
-)
-def test_bad_input(call, said):
-    with pytest.raises(InputError, match=said):
-        call(environment())
 
 
 def test_samples_are_a_pytree_of_arrays():
