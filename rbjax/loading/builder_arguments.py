@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -92,7 +93,7 @@ def of_type(where: str, name: str, value: Any, default: Any) -> Any:
         return value
     positive = name in NOT_NEGATIVE
     if not isinstance(default, np.ndarray):
-        return real_number(where, name, value, **({"least": 0.0} if positive else {}))
+        return real_number(where, name, value, least=0.0 if positive else -math.inf)
     found = vector(where, name, value, default.size)
     if positive and (found < 0).any():
         raise InputError(f"{where}: {name} is {found.tolist()}, expected numbers of at least 0")

@@ -60,6 +60,9 @@ def new_critic(
     Returns:
         `Critic`, a function (o,) -> () of the observation, or of its group "critic".
 
+    Raises:
+        InputError: not an environment, not a key, or sizes out of range.
+
     Example:
         >>> import jax
         >>> import rbjax as rb

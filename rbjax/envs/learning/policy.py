@@ -116,6 +116,10 @@ def new_policy(
     Returns:
         `Policy`, a function (o,) -> (na,) of the observation group "policy".
 
+    Raises:
+        InputError: not an environment, not a key, or numbers out of range.
+        UnknownName: no such activation.
+
     Example:
         >>> import jax
         >>> import rbjax as rb
