@@ -14,8 +14,7 @@ from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.place import Place
 from rbjax.forces.reach import Reach
 from rbjax.forces.springs import Bushing, PointSpring
-from rbjax.forces.tendons.lengths import tendon_jacobian, tendon_lengths
-from rbjax.forces.tendons.paths import tendon_reach
+from rbjax.forces.tendons.paths import tendon_jacobian, tendon_lengths, tendon_reach
 
 __all__ = [
     "Place",

@@ -17,8 +17,7 @@ from rbjax.dynamics import inverse_mass_matrix
 from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.context import Context
-from rbjax.forces.tendons.lengths import tendon_jacobian
-from rbjax.forces.tendons.paths import tendon_reach
+from rbjax.forces.tendons.paths import tendon_jacobian, tendon_reach
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model, State, without_constants
 from rbjax.model.leaves import table
