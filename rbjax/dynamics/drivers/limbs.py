@@ -23,8 +23,16 @@ import numpy as np
 
 from rbjax.dynamics.drivers import unrolled
 from rbjax.dynamics.drivers.contract import Step, dof_motion, frame_motions
-from rbjax.dynamics.drivers.limb_columns import merge, rows_of, sequential_sincos, widen
-from rbjax.dynamics.drivers.loop import Iteration, JointColumns, Parts, loop
+from rbjax.dynamics.drivers.loop import (
+    Iteration,
+    JointColumns,
+    Parts,
+    loop,
+    merge,
+    rows_of,
+    sequential_sincos,
+    widen,
+)
 from rbjax.joints import HINGE, FrameKind, JointMotion, PosedJoint, hinge_motion
 from rbjax.lanes import (
     Lane,
