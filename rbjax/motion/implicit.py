@@ -220,7 +220,7 @@ def tableau_of(where: str, dynamics: DifferentialAlgebraic, given: Any, also: st
     )
 
 
-class History(NamedTuple):
+class StateHistory(NamedTuple):
     """Past states of BDF, latest first, and the number of valid ones."""
 
     ts: jax.Array  # (n,)
@@ -228,7 +228,7 @@ class History(NamedTuple):
     filled: jax.Array
 
 
-class Step(NamedTuple):
+class BDFStep(NamedTuple):
     u: jax.Array  # (2 nv + nx,)
     error: jax.Array
     coefficients: jax.Array  # (degree, 2 nv + nx) of the dense output
@@ -252,7 +252,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         # distinct times keep the formula finite before it is used
         ts = t0 - (t1 - t0) * jnp.arange(1, n + 1, dtype=t0.dtype)
         same = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), y0)
-        return History(ts, same, jnp.array(0))
+        return StateHistory(ts, same, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         term, h = unwrap(terms), t1 - t0
@@ -270,7 +270,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         error = mark_failed(out.ok, jax.tree.map(jnp.subtract, nearby, y1))
         ts = jnp.concatenate([t0[None], ts[:-1]])
         states = jax.tree.map(lambda x, past: jnp.concatenate([x[None], past[:-1]]), y0, states)
-        after = History(ts, states, jnp.minimum(filled + 1, self.formula_order))
+        after = StateHistory(ts, states, jnp.minimum(filled + 1, self.formula_order))
         coefficients = increment(model, out.coefficients)
         dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
         return y1, error, dense, after, step_result(out.ok)
@@ -282,11 +282,11 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def _padded(self, coefficients: jax.Array) -> jax.Array:
         return jnp.pad(coefficients, ((0, self._degree - len(coefficients)), (0, 0)))
 
-    def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
+    def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> BDFStep:
         (model, forces, start), dynamics = parts_of_field(term.vector_field, args), self.formulation
         tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
         found = stages(dynamics, tableau, model, forces, start + t0, y0, h)
-        return Step(
+        return BDFStep(
             weighted_sums(tableau.b, found.k),
             error_of(found, dynamics, tableau, model, forces, y0, h),
             self._padded(found.polynomial(tableau, h)),
@@ -295,7 +295,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
 
     def _formula(
         self, term: Any, args: Any, t0: Any, h: Any, y0: State, ts: Any, states: State
-    ) -> Step:
+    ) -> BDFStep:
         (model, forces, first), dynamics = parts_of_field(term.vector_field, args), self.formulation
         equations, start = initial_equations(dynamics, model, forces, first + t0, y0)
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
@@ -304,4 +304,4 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         base = start.y - q.known / q.slope
         found = solve(equations, h, (first + t0 + h)[None], base[None], weight(1 / q.slope), start)
         u, error, coefficients = q.result(h * found.rates[0])
-        return Step(u, error, self._padded(coefficients), found.ok)
+        return BDFStep(u, error, self._padded(coefficients), found.ok)

@@ -92,7 +92,7 @@ def _has_subjaxpr(eqn: JaxprEqn) -> bool:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EquationKind:
     """The key of an equation's derivative rule. `moving`, `present`: flags of inputs with tangents
     and of results with cotangents."""
 
@@ -168,7 +168,7 @@ def _trace_dependent(
     return short, [m and next(rest) for m in may]
 
 
-RULES = {"tangent": Kind.tangent, "transpose": Kind.transpose}
+RULES = {"tangent": EquationKind.tangent, "transpose": EquationKind.transpose}
 CACHED = {name: functools.lru_cache(4096)(f) for name, f in RULES.items()}
 
 
@@ -177,7 +177,9 @@ def _rule_of(
 ) -> tuple[ClosedJaxpr, list[bool]]:
     """Return the derivative rule of an equation, and flags of its results that are not zero."""
     params = tuple(sorted(eqn.params.items()))
-    kind = Kind(eqn.primitive, params, _avals(eqn.invars), _avals(eqn.outvars), moving, present)
+    kind = EquationKind(
+        eqn.primitive, params, _avals(eqn.invars), _avals(eqn.outvars), moving, present
+    )
     try:
         hash(kind)
     except TypeError:
@@ -197,7 +199,7 @@ def _avals(atoms: Sequence[Atom]) -> tuple:
     )
 
 
-class Equations:
+class JaxprBuilder:
     """A jaxpr under construction: its equations and the constants that they read."""
 
     def __init__(self) -> None:
@@ -242,7 +244,7 @@ class Equations:
 class Linearised:
     """The linearisation of a jaxpr: (args, tangents) -> results and their tangents (None: zero)."""
 
-    eqns: Equations
+    eqns: JaxprBuilder
     args: list[Var]
     tangents: list[Var]
     results: list[Atom]
@@ -252,7 +254,7 @@ class Linearised:
     @gc_paused()
     def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
         """Linearise a jaxpr. moving: for each argument, whether it has a tangent."""
-        eqns, jaxpr = Equations(), closed.jaxpr
+        eqns, jaxpr = JaxprBuilder(), closed.jaxpr
         args = [Var(v.aval) for v in jaxpr.invars]
         tangents = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
         rest = iter(tangents)
@@ -286,7 +288,7 @@ class Linearised:
         """Return the transpose (args, given, cotangents of results) -> cotangents of args with
         tangents, as a function of the variables `given`, which it does not compute.
         Returns None if an equation computes values and tangents together."""
-        eqns = Equations()
+        eqns = JaxprBuilder()
         eqns.consts.update(self.eqns.consts)
         parts = self.divided()
         if parts is None:
@@ -331,7 +333,7 @@ class Linearised:
 
 
 def _push_forward(
-    eqns: Equations, closed: ClosedJaxpr, args: Sequence[Atom], tangents: Sequence[Atom | None]
+    eqns: JaxprBuilder, closed: ClosedJaxpr, args: Sequence[Atom], tangents: Sequence[Atom | None]
 ) -> tuple[list[Atom], list[Atom | None]]:
     """Append a jaxpr and its tangent. Return the results and their tangents (None: zero)."""
     jaxpr = closed.jaxpr

@@ -91,15 +91,15 @@ def compile(f: Callable, *example: object) -> Callable:
     return functools.wraps(f)(call.function())
 
 
-Kind = tuple[tuple[int, ...], np.dtype]  # shape and dtype of an array
+ArrayType = tuple[tuple[int, ...], np.dtype]  # shape and dtype of an array
 
 
 class _Call:
     """A call of a compiled function, with checks and conversions of its arguments."""
 
     def __init__(
-        self, f: Callable, tree: PyTreeDef, structure: PyTreeDef, operands: list[Kind],
-        results: list[Kind], code: llvm_jit.Code | None,
+        self, f: Callable, tree: PyTreeDef, structure: PyTreeDef, operands: list[ArrayType],
+        results: list[ArrayType], code: llvm_jit.Code | None,
     ):  # fmt: skip
         self._f, self._tree, self._structure, self._code = f, tree, structure, code
         self._operands, self._results = operands, results

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun
 from jax.extend.core.primitives import closed_call_p
 
-from rbjax.compiler.jax.derivatives import Equations, needed
+from rbjax.compiler.jax.derivatives import JaxprBuilder, needed
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program, traced
 
@@ -134,8 +134,8 @@ def _most_runs(jaxpr: Any) -> float:
     return most
 
 
-class _Flat(Equations):
-    """Equations without calls of programs of one sample, except those with a derivative rule."""
+class _Flat(JaxprBuilder):
+    """A builder that inlines programs of one sample, except those with a derivative rule."""
 
     def inline(self, closed: ClosedJaxpr, args: Sequence[Any], at: JaxprEqn | None) -> list[Any]:
         eqns = [_as_call(eqn) for eqn in closed.jaxpr.eqns]

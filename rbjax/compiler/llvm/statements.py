@@ -22,7 +22,7 @@ from rbjax.compiler.llvm.operations import (
     literal,
     llvm_type,
 )
-from rbjax.compiler.passes.cutting import Cuts, Frame, split_block
+from rbjax.compiler.passes.cutting import Cuts, FrameLayout, split_block
 
 #: larger local arrays are in the workspace, because a thread has a small stack
 STACK_ARRAY_BYTES = 2048
@@ -91,7 +91,7 @@ class Writer:
         self.places: dict[int, str] = {}  # variables on the stack
         self.pointers: dict[int, str] = {}
         self.workspace = self.stack = 0
-        self.frame: Frame | None = None
+        self.frame: FrameLayout | None = None
         self.here = 0  # number of the current function (`Cuts`)
         self.recalled: dict[int, str] = {}  # values that it has loaded from the frame
         self.pieces: list[str] = []
@@ -111,7 +111,11 @@ class Writer:
         cuts = self.cuts(program)
         if cuts is None:
             return
-        self.frame, self.name, self.program = Frame(cuts, self.bytes, ALIGNMENT), name, program
+        self.frame, self.name, self.program = (
+            FrameLayout(cuts, self.bytes, ALIGNMENT),
+            name,
+            program,
+        )
         self.takes, size = takes, self.frame.bytes
         if size <= STACK_BYTES:
             self.stack = size

@@ -111,7 +111,7 @@ def _size(statement: ir.Statement) -> int:
     return sum(1 for _ in ir.walk(ir.Block([statement])))
 
 
-class Frame:
+class FrameLayout:
     """The byte offsets of shared variables and of arrays in a frame. size_of: bytes of each."""
 
     def __init__(self, cuts: Cuts, size_of: Callable[[ir.Name], int], alignment: int):

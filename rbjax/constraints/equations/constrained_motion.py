@@ -127,7 +127,7 @@ def constrained_motion(
     f_ext: LinkForces,
     alpha: Any = 0.0,
     beta: Any = 0.0,
-    method: Method = range_space_problem,
+    method: LinearMethod = range_space_problem,
     right_hand_side: RightHandSide = feedback_right_hand_side,
 ) -> tuple[jax.Array, jax.Array]:
     """Compute accelerations a (nv,) and multipliers l (rows,) of one sample, from checked arrays.

@@ -57,7 +57,7 @@ from rbjax.rank_tolerances import rank_tolerance
 #: (force (nv,), c (rows,)) -> x (nv,), l (rows,) of W x = force + G^T l, G' x = c
 Solve = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 #: (driver, model, t_0, t, q_0, u, v) -> changes
-Method = Callable[..., "Changes"]
+ProjectionMethod = Callable[..., "Changes"]
 #: x (nv,) -> residuals (rows,)
 Residual = Callable[[jax.Array], jax.Array]
 #: number of iterations of `project_state`, by bytes of the dtype
@@ -85,7 +85,7 @@ class Changes:
 
 
 def least_change(
-    method: Method, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
+    method: ProjectionMethod, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
     dependent: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """Compute the least changes dq and dv by a method, differentiated as an implicit function.
