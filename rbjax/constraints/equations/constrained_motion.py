@@ -89,7 +89,7 @@ class LinearProblem(NamedTuple):
 
 
 #: (driver, context, tau, f_ext) -> equations of the method
-Method = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
+LinearMethod = Callable[[Driver, Context, jax.Array, LinkForces], LinearProblem]
 
 
 def range_space_problem(

@@ -85,8 +85,8 @@ class Changes:
 
 
 def least_change(
-    method: ProjectionMethod, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array,
-    dependent: bool = False,
+    method: ProjectionMethod, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array,
+    v: jax.Array, dependent: bool = False,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """Compute the least changes dq and dv by a method, differentiated as an implicit function.
     `dependent` selects the equations of `solve_dependent`."""
