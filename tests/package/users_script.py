@@ -65,4 +65,4 @@ def main() -> None:
     assert_type(OccupancyGrid(jnp.zeros((40, 30), bool), jnp.asarray(0.1)).origin, jax.Array)
     assert_type(rb.stability.linear_analysis("rk4"), rb.stability.LinearAnalysis)
     assert_type(rb.plotting.animate(model, run, "swing.html"), Path)
-    assert_type(rb.validation.compare("pendulum").ok, bool)
+    assert_type(rb.validation.compare("pendulum").success, bool)

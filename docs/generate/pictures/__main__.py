@@ -20,7 +20,7 @@ CLIPS = {
         motions.tumbling_body,
     )
 }  # fmt: skip
-#: the panels of the strip, 160 x 150 each
+#: the panels of the strip, 152 x 150 each, with white gaps
 STRIP = ("walking_policy", "contact", "parking_a_trailer", "flexible", "first_hour")
 
 
@@ -28,8 +28,12 @@ def main(names: list[str]) -> None:
     """Write the named clips, or all of them and the strip."""
     for name in names or [*CLIPS, "strip"]:
         if name == "strip":
-            panels = [list(CLIPS[panel]((160, 150))) for panel in STRIP]
-            frames = [np.concatenate(parts, axis=1) for parts in zip(*panels, strict=True)]
+            panels = [list(CLIPS[panel]((152, 150))) for panel in STRIP]
+            gap = np.full((150, 10, 3), 255, np.uint8)
+            frames = []
+            for parts in zip(*panels, strict=True):
+                row = [x for part in parts for x in (gap, part[..., :3])]
+                frames.append(np.concatenate(row[1:], axis=1))
             save(frames, FOLDER / "strip.webp", 1_000_000)
         else:
             save(list(CLIPS[name]((270, 180))), FOLDER / f"{name}.webp", 150_000)

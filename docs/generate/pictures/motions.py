@@ -88,7 +88,7 @@ def flexible(size: Size) -> Frames:
         save_every=40,
     )  # fmt: skip
     q = np.asarray(path.q)[:COUNT]  # in half the speed of the motion
-    return robot_frames(cable, q, size, camera=Camera(-90, 5), zoom=1.0)
+    return robot_frames(cable, q, size, camera=Camera(-75, 16), zoom=1.1)
 
 
 def swing_up(size: Size) -> Frames:

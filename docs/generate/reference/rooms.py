@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import rbjax
+from docs.generate.reference.headings import HEADINGS
 
 #: rooms by subject, in the order of the reference; the top level comes first
 SUBJECTS = {
@@ -97,27 +98,6 @@ FIRST = {
     "wheeled": ("robot.catalogue", "robot", "registry", "models", "motion", "kinematics",
                 "tyres"),
 }  # fmt: skip
-
-
-#: headings of modules whose docstring begins with something else
-HEADINGS = {
-    "body.formulation_types": "Formulations of one body's motion",
-    "contact.contact_solution": "The contact problem at a state",
-    "control.optimal.solver": "Solve",
-    "dynamics.algorithms.energy": "Energy, centre of mass, momentum",
-    "dynamics.algorithms.frames": "Frames: pose, twist, Jacobian",
-    "envs.terms.tolerance": "Tolerance",
-    "flexible.reference.protocol": "The protocol of a beam element",
-    "forces.acting": "Applied forces",
-    "forces.context": "The state of motion that elements read",
-    "joints.node": "Nodes",
-    "sensors.columns": "Columns of readings",
-    "solvers.second_order": "Methods for q'' = a(t, q, q')",
-    "solvers.root_finding": "Root finding",
-    "spatial.mass": "Mass, centre of mass, inertia",
-    "spatial.shapes": "Shapes",
-    "spatial.vectors": "Motions, forces, transforms, inertias",
-}
 
 
 @dataclass(frozen=True)

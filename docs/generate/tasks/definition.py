@@ -18,6 +18,8 @@ from docs.generate.markdown.table import table
 
 ITEM = re.compile(r"^ +- ")
 ROW = re.compile(r"^ +\w+(?: \w+)* {2,}\S")
+#: the title of a publication, with its asterisks escaped
+TITLE = re.compile(r"\\\*([A-Z][^*\\]+)\\\*")
 #: sections of a docstring that other parts of the page have
 ELSEWHERE = ("Args:", "Example:", "sparse:", "touch:", "speed:", "orientation:")
 
@@ -49,7 +51,7 @@ def blocks(paragraph: str) -> Iterator[str]:
     for indented, run in groupby(lines, key=lambda line: line.startswith("  ")):
         part = list(run)
         if not indented:
-            yield escaped(" ".join(part))
+            yield TITLE.sub(r"*\1*", escaped(" ".join(part)))
         elif ITEM.match(part[0]):
             yield "\n".join(f"- {escaped(item)}" for item in joined(part, ITEM))
         elif ROW.match(part[0]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 from docs.generate import repository
@@ -38,10 +39,6 @@ NEEDS = {
 PAGE = re.compile(r"`docs/([\w/-]+\.md)`")
 #: which picture of a notebook stands in the list, if it is not the first
 PICTURE = {
-    "contact": 2,
-    "flexible": 3,
-    "swing_up": 1,
-    "tumbling_body": 2,
     "walking": 1,
     "wheels": 1,
 }
@@ -61,7 +58,8 @@ def pages(root: Path) -> dict[str, str | bytes]:
         missing = sorted(set(found) ^ set(listed))
         raise ValueError(f"notebooks/ and ORDER of {__file__} differ by {', '.join(missing)}")
     read = {name: notebooks.read(found[name]) for name in listed}
-    out: dict[str, str | bytes] = {"tutorials/index.md": contents(read)}
+    clips = {path.stem for path in (root / "docs" / "clips").glob("*.webp")}
+    out: dict[str, str | bytes] = {"tutorials/index.md": contents(read, clips)}
     for name, notebook in read.items():
         out[f"tutorials/{name}.md"] = page(notebook, root)
         out |= {f"tutorials/{file}": data for file, data in notebook.files.items()}
@@ -88,7 +86,7 @@ def page(notebook: Notebook, root: Path) -> str:
     return "\n\n".join([f"# {notebook.title}", head, *body]) + "\n"
 
 
-def contents(read: dict[str, Notebook]) -> str:
+def contents(read: dict[str, Notebook], clips: Collection[str] = ()) -> str:
     """The list: a picture, the title, the time and the first sentences of each."""
     out = [
         "# Tutorials",
@@ -97,14 +95,14 @@ def contents(read: dict[str, Notebook]) -> str:
         STYLE,
     ]
     for heading, names in ORDER.items():
-        cards = "\n\n".join(card(read[name]) for name in names)
+        cards = "\n\n".join(card(read[name], name in clips) for name in names)
         out.append(f'## {heading}\n\n<div class="cards" markdown="1">\n\n{cards}\n\n</div>')
     return "\n\n".join(out) + "\n"
 
 
-def card(one: Notebook) -> str:
-    """A notebook in the list."""
-    picture = one.pictures[PICTURE.get(one.name, 0)]
+def card(one: Notebook, clip: bool = False) -> str:
+    """A notebook in the list, with its clip of README if it has one, else a picture."""
+    picture = f"../clips/{one.name}.webp" if clip else one.pictures[PICTURE.get(one.name, 0)]
     link, what = f"{one.name}.md", sentence(one.first)
     return (
         f'<div markdown="1">\n\n[![{one.title}]({picture})]({link})\n\n'
