@@ -102,6 +102,8 @@ def main() -> None:
         some = {*[*sources][::8], *NAMES.values()}
         sources = {name: load for name, load in sources.items() if name in some}
     sources = {name: load for name, load in sources.items() if given.only in name}
+    if not sources:
+        parser.error(f"no model has {given.only!r} in its name")
     rows = []
     for name in progress(sources):
         m = sources[name]()
