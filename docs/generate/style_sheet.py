@@ -75,9 +75,11 @@ SHEET = Template("""\
   font-variant-numeric: tabular-nums;
 }
 
-/* long lines of printed output and of definitions are wrapped */
-.md-typeset .language-text code {
-  white-space: pre-wrap;
+/* long lines of printed output are wrapped; on a narrow screen they scroll, as tables of numbers */
+@media screen and (min-width: 60em) {
+  .md-typeset .language-text code {
+    white-space: pre-wrap;
+  }
 }
 
 /* formulas */
@@ -112,6 +114,11 @@ SHEET = Template("""\
 [data-md-color-scheme="slate"] .md-typeset img {
   filter: invert(1) hue-rotate(180deg);
   mix-blend-mode: screen;
+}
+
+[data-md-color-scheme="slate"] .md-typeset iframe,
+[data-md-color-scheme="slate"] .md-typeset object {
+  filter: invert(1) hue-rotate(180deg);
 }
 
 /* entries of the reference */

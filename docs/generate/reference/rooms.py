@@ -133,7 +133,7 @@ def is_documented(value: Any) -> bool:
 
 def first_sentence(text: str) -> str:
     paragraph = " ".join(text.strip().split("\n\n")[0].split())
-    found = re.match(r"(.*?[.!?])(?:\s+[A-Z`(]|$)", paragraph)
+    found = re.match(r"(.*?[.!?])(?:\s+(?:[A-Z`(]|\w+: )|$)", paragraph)
     return (found[1] if found else paragraph).strip()
 
 
