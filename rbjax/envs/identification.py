@@ -17,7 +17,7 @@ import numpy as np
 
 from rbjax.arguments import choice, instance
 from rbjax.control.optimal.shooting.expansion import arguments_read
-from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.envs.checks import check_vector, term_of
 from rbjax.envs.control_step import ControlStep, key_of
 from rbjax.envs.environment import Environment
@@ -127,7 +127,7 @@ def log_recording(
     instance(where, "env", env, Environment, 'an rb.envs.Environment, as rb.envs.make("...")')
     sizes = env.observation_size if isinstance(env.observation_size, dict) else None
     width = env.observation_size if sizes is None else sizes[choice("group", group, sizes)]
-    rows = np.shape(actions)[0] if np.ndim(actions) else 0
+    rows = (shape_of(where, "actions", actions) or (0,))[0]
     actions = check_array(where, "actions", actions, (rows, env.action_size))
     seen = np.asarray(check_array(where, "observations", observations, (rows, width)))
     times = env.dt * np.arange(rows)
@@ -171,6 +171,9 @@ def control_grid(env: Environment) -> Grid:
         >>> rb.envs.control_grid(rb.envs.Environment(task)).substeps
         5
     """
+    instance(
+        "control_grid", "env", env, Environment, 'an rb.envs.Environment, as rb.envs.make("...")'
+    )
     sample = ControlStep(env.task)
     return Grid(env.dt, env.task.decimation, sample.integrator)
 

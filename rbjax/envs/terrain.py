@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import ModelError
 
 
@@ -52,6 +52,8 @@ def rough_ground(
     side = real_number(where, "side", side, above=0.0)
     integer(where, "points", points, least=2)
     integer(where, "seed", seed, least=0)
+    for name, x in (("xml", xml), ("floor", floor)):
+        instance(where, name, x, str, "the text of an MJCF file" if name == "xml" else "a name")
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:

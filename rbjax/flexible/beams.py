@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import check_positive
+from rbjax.arguments import check_positive, real_array
 from rbjax.errors import InputError
 from rbjax.flexible.cross_section import Section, section
 from rbjax.flexible.elasticity import BeamElasticity
@@ -205,6 +205,8 @@ def beam(
     check_positive("beam", length=length)
     length = checked("beam", "length", length, "scalar")
     given = _section(section, mass, inertia)
+    if not isinstance(damping, jax.core.Tracer):
+        real_array("beam", "damping", damping, "ratios of viscosity to stiffness in s")
     ratio = jnp.asarray(damping, float)
     if ratio.shape not in ((), (6,)):
         raise InputError(

@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import check_positive
+from rbjax.arguments import check_positive, real_array
 from rbjax.errors import InputError
 from rbjax.model.record import Record
 from rbjax.rotations.arguments import checked
@@ -88,6 +88,8 @@ def section(
         >>> flat.stiffness.diagonal().tolist()
         [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     """
+    if not isinstance(stiffness, jax.core.Tracer):
+        stiffness = real_array("section", "stiffness", stiffness)
     C = np.shape(stiffness)
     if C == (6,):
         stiffness = jnp.diag(jnp.asarray(stiffness, float))
@@ -102,6 +104,13 @@ def section(
     first_moment = (0.0, 0.0) if first_moment is None else first_moment
     first_moment = checked("section", "first_moment", first_moment, "pair")
     product = checked("section", "product", product, "scalar")
+    given = {"inertia": inertia.shape[:-1], "first_moment": first_moment.shape[:-1]}
+    for name, shape in (given | {"product": product.shape}).items():
+        if shape != mass.shape and (shape or name == "inertia"):
+            raise InputError(
+                f"section: {name} has the leading axes {shape} and mass {mass.shape}, expected the "
+                "same: one value, or one at each Gauss point"
+            )
     if not isinstance(C, jax.core.Tracer):
         _check_stiffness(np.asarray(C))
     parts = (mass, inertia, first_moment, product)
@@ -366,14 +375,9 @@ def _check_inertia(m: np.ndarray, J: np.ndarray, h: np.ndarray, yz: np.ndarray) 
         raise InputError(
             f"section: inertia is {J}, expected x = y + z for a section, which is flat"
         )
-    pseudo = np.stack(
-        [
-            np.stack([m, h[..., 0], h[..., 1]], -1),
-            np.stack([h[..., 0], yy, -yz], -1),
-            np.stack([h[..., 1], -yz, zz], -1),
-        ],
-        -2,
-    )
+    m, y, z, yz, yy, zz = np.broadcast_arrays(m, h[..., 0], h[..., 1], yz, yy, zz)
+    rows = [[m, y, z], [y, yy, -yz], [z, -yz, zz]]
+    pseudo = np.stack([np.stack(row, -1) for row in rows], -2)
     if np.linalg.eigvalsh(pseudo).min() < -1e-9 * np.abs(pseudo).max():
         raise InputError(
             f"section: no distribution of mass has mass {m}, inertia {J}, first_moment {h} and "

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.flexible.elasticity import beam_of
 from rbjax.forces.context import Context
@@ -58,19 +59,18 @@ class BeamLoad(Element):
         Raises:
             UnknownName: no such joint. InputError: the joint is not a beam, a wrong shape or axes.
         """
+        check_model("BeamLoad", model)
         beam, _ = beam_of(model, joint, model.gravity.dtype, "BeamLoad")
-        if axes not in ("world", "section"):
+        if not isinstance(axes, str) or axes not in ("world", "section"):
             raise InputError(f"BeamLoad: axes is {axes!r}, expected 'world' or 'section'")
         points, dtype = beam.shape.points, model.gravity.dtype
         zero = jnp.zeros(3, dtype)
-        f, m = (zero if x is None else jnp.asarray(x, dtype) for x in (force, moment))
-        given = {"force": f, "moment": m}
-        for name, x in given.items():
-            if x.shape not in ((3,), (points, 3)):
-                raise InputError(
-                    f"BeamLoad: {name} has the shape {x.shape}, expected (3,) or ({points}, 3), "
-                    "one row for each Gauss point of the beam"
-                )
+        rows = "; one row for each Gauss point of the beam"
+        f, m = (
+            zero if x is None else check_array("BeamLoad", name, x, (3,), (points, 3), fix=rows)
+            for name, x in (("force", force), ("moment", moment))
+        )
+        f, m = f.astype(dtype), m.astype(dtype)
         return cls(f, m, joint, axes)
 
     def shapes(self, model: Model) -> Shapes:

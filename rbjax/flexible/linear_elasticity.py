@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import flag
 from rbjax.errors import InputError
 from rbjax.flexible.strain import elastic_energy
 from rbjax.forces.context import Context
@@ -80,7 +81,7 @@ def with_free_base(
     Returns:
         the model, the parent of the link, and the place of the link in it.
     """
-    if not free:
+    if not flag(where, "free", free):
         return model, parent, base
     if parent != "world":
         raise InputError(

@@ -50,7 +50,8 @@ def with_link(
     """
     top, dtype = model.topology, model.bodies.mass.dtype
     frames = dict(frames or {})
-    over = WORLD if parent == "world" and parent not in top.body_names else model.body(parent)
+    on_world = isinstance(parent, str) and parent == "world"
+    over = WORLD if on_world and parent not in top.body_names else model.body(parent)
     _check(top, name, joint, frames)
     body, j, count = top.nb, len(top.joints), 1 + len(frames)
     position = array_like("with_link(position=...)", position, (3,), dtype, infinite=False)
@@ -121,8 +122,8 @@ def _with(x: Any, *more: Any) -> jax.Array:
 
 def _check(top: Any, name: str, joint: Joint, frames: Mapping[str, int]) -> None:
     for k, given in enumerate((name, *frames)):
-        taken = given in top.body_names or given == "world" or (k > 0 and given == name)
-        if not isinstance(given, str) or not given or taken:
+        named = isinstance(given, str) and given != ""
+        if not named or given in (*top.body_names, "world") or (k > 0 and given == name):
             raise InputError(
                 f"with_link: got the name {given!r}, expected a new name of a body; the model has "
                 f"{[*top.body_names, *([name] if k else [])]}"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import dataclasses
+from collections.abc import Hashable, Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import shown
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
 from rbjax.forces.context import Frame as FrameMotion
@@ -42,6 +44,15 @@ class FixedSensor(Record):
     of: ClassVar[str] = "1"
     attitudes: ClassVar[tuple[int, ...]] = ()
     clipped: ClassVar[str] = "both"
+
+    def __check_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.metadata.get("static", False) and not isinstance(value, Hashable | list):
+                raise InputError(
+                    f"{type(self).__name__}: {field.name} is {shown(value)}, expected a name or "
+                    "numbers that do not change, such as a tuple"
+                )
 
     def columns(self, model: Model) -> Columns:
         self.check(model)

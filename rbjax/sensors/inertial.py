@@ -14,6 +14,8 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 
+from rbjax.arguments import real_array
+from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Frame, Model
@@ -69,6 +71,10 @@ class Magnetometer(FrameSensor):
     """
 
     field: tuple[float, float, float] = eqx.field(static=True, default=(0.0, -0.5, 0.0))
+
+    def __check_init__(self) -> None:
+        if real_array("Magnetometer", "field", self.field, "(3,) numbers").shape != (3,):
+            raise InputError(f"Magnetometer: field is {self.field}, expected three numbers")
 
     def __call__(self, context: Context) -> jax.Array:
         return reading(context, self.at(context).rotation.T @ Vec3(*map(float, self.field)))

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_array
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
@@ -231,6 +231,9 @@ class JointLimitSensor(OneJointSensor):
 
     kinds = ("hinge", "slide", "ball")
     margin: float = eqx.field(static=True, default=0.0)
+
+    def __check_init__(self) -> None:
+        real_number(type(self).__name__, "margin", self.margin)
 
     def ends(self, context: Context) -> list[tuple[Lane, list[Lane]]]:
         """Return the distance to each end of the range, and the gradient of the distance."""

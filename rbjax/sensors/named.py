@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from typing import Any
 
 import equinox as eqx
@@ -49,7 +49,8 @@ class NamedSensor(Record):
             )
         for field in ("cutoff", "noise"):
             x = getattr(self, field)
-            if isinstance(x, bool) or not isinstance(x, int | float) or not 0 <= x < math.inf:
+            known = isinstance(x, int | float) and not isinstance(x, bool)
+            if not known or not 0 <= x <= sys.float_info.max:
                 raise InputError(f"{where}: {field} is {x!r}, expected a number of at least 0")
 
     def __call__(self, context: Context) -> jax.Array:

@@ -18,6 +18,7 @@ from rbjax.planning import Controls, Footprint, Limits, OccupancyGrid, Path
 from rbjax.rotations import se3, so3
 from rbjax.spatial import shapes
 from tests.body import test_composes as of_bodies
+from tests.public import room_calls
 from tests.rotations import test_public as of_rotations
 
 Calls = dict[str, dict[str, Any]]
@@ -384,10 +385,10 @@ ROOMS: dict[str, tuple[Any, Calls]] = {
     "estimation": (estimation, ESTIMATION),
     "loading": (rb.loading, LOADING),
     "plotting": (rb.plotting, PLOTTING),
-}
+} | room_calls.ROOMS
 
 #: functions that are not names of their room
-OTHERS: dict[str, Callable] = {
+OTHERS: dict[str, Callable] = room_calls.OTHERS | {
     "planning.Path.split": DRIVEN.split,
     "wheeled.car": wheeled.kinds()["car"].make,
     "wheeled.differential_drive": wheeled.kinds()["differential_drive"].make,

@@ -18,8 +18,9 @@ import pytest
 import rbjax as rb
 
 SEED = 11
-ROOM_NAMES = ("body", "constraints", "estimation", "loading", "planning", "plotting", "rotations",
-              "solvers", "spatial", "stability", "wheeled")  # fmt: skip
+ROOM_NAMES = ("body", "constraints", "contact", "envs", "estimation", "flexible", "loading",
+              "planning", "plotting", "rotations", "sensors", "solvers", "spatial", "stability",
+              "wheeled")  # fmt: skip
 #: functions whose accepted calls compile for more than a second
 HEAVY = {"clear_along", "drift", "equilibrium", "gradient_growth", "grid_a_star", "grid_dijkstra",
          "hybrid_a_star", "lyapunov", "plan", "reduced_linearisation", "refine", "rollout",
@@ -94,14 +95,17 @@ OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "
                "source": ("regular file", "scene", "representation"),
                "solver": ("Compensated",), "start": ("the state",), "given": ("inputs",),
                "ahead": ("length",), "behind": ("length",), "parts": ("part",),
-               "target": ("representation",), "joint": ("joint",)}  # fmt: skip
+               "target": ("representation",), "joint": ("joint",), "parent": ("body",),
+               "frame": ("site",), "reference": ("site", "a frame"), "seen": ("site", "a frame"),
+               "root": ("joint",), "xml": ("geom 'floor'",), "low": ("(low, high)", "high is"),
+               "high": ("(low, high)",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
 ANY_SHAPE = ("z", "h_omega", "ctrl", "lag", "friction", "x", "y", "max_steps", "transient",
              "wrenches", "points", "positions", "rates", "poses", "path",
              "coefficients")  # fmt: skip
 
 #: arguments that may be infinite
-ENDLESS = ("battery", "limit", "speed", "turn_rate", "steering_rate")
+ENDLESS = ("battery", "friction", "limit", "speed", "turn_rate", "steering_rate")
 
 Case = tuple[str, str, Callable[[], Any], Callable[[], Any]]
 

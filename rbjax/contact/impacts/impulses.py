@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import choice, integer, real_number
 from rbjax.contact.geometry.detection import Contacts, Pairs, chosen_pairs, contacts_at
 from rbjax.contact.impacts.energetic import energetic_impulse
 from rbjax.contact.impacts.impulse_equations import ImpulseProblem, solve_impulses
@@ -32,7 +32,7 @@ from rbjax.contact.impacts.point_velocity import (
 from rbjax.contact.parameters import pair_parameters
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_arrays
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.errors import InputError, listed
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec
 from rbjax.model import Model, State
 
@@ -109,8 +109,7 @@ def impulse(
     """
     checked = check_arrays("impulse", model, {"state": state})["state"]
     chosen = check_pairs("impulse", model, pairs)
-    if law not in LAWS:
-        raise UnknownName("law of impact", law, LAWS)
+    choice("law of impact", law, LAWS)
     integer("impulse", "sweeps", sweeps, least=1)
     dtype = checked.q.dtype
     if reach is None:

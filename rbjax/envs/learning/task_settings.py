@@ -15,7 +15,6 @@ import jax
 
 from rbjax.arguments import choice
 from rbjax.envs.registry import tasks
-from rbjax.errors import UnknownName
 
 ALGORITHMS = ("ppo", "shac")
 
@@ -117,10 +116,9 @@ def settings(
         >>> rb.envs.learning.settings("go1_joystick_flat", backend="gpu")["num_envs"]
         8192
     """
-    if algorithm not in ALGORITHMS:
-        raise UnknownName("algorithm", algorithm, ALGORITHMS)
-    if task is not None and task not in tasks():
-        raise UnknownName("task", task, tasks())
+    choice("algorithm", algorithm, ALGORITHMS)
+    if task is not None:
+        choice("task", task, tasks())
     if backend is not None:
         choice("backend", backend, ("cpu", "gpu", "tpu"))
     backend = jax.default_backend() if backend is None else backend

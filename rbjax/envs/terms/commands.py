@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer, real_number
 from rbjax.envs.task import Variable
 
 
@@ -32,6 +33,7 @@ def switched_commands(dt: float, name: str = "command") -> tuple[Variable, ...]:
         >>> [v.name for v in rb.envs.terms.switched_commands(0.02)]
         ['command', 'command_steps']
     """
+    real_number("switched_commands", "dt", dt, above=0.0)
 
     def steps(key: Any, params: Any) -> jax.Array:
         time = jax.random.exponential(key) * params.values[f"{name}_time"]
@@ -79,6 +81,7 @@ def periodic_commands(every: int, name: str = "command") -> tuple[Variable, ...]
         >>> [v.name for v in rb.envs.terms.periodic_commands(500, "goal")]
         ['goal', 'goal_steps']
     """
+    integer("periodic_commands", "every", every, least=1)
 
     def drawn(key: Any, params: Any) -> jax.Array:
         low, high = (jnp.asarray(params.values[f"{name}_{x}"]) for x in ("low", "high"))

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_array, real_number
 from rbjax.envs.task import Variable
 from rbjax.envs.terms.feet import Feet
 from rbjax.envs.terms.frames import Term, frame_at, length, norm
@@ -40,6 +41,8 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
         >>> phase.start(None, None).tolist()
         [0.0, 1.5]
     """
+    real_number("gait_clock", "dt", dt, above=0.0)
+    real_array("gait_clock", "offsets", offsets, ndim=1)
 
     def rate(key: Any, params: Any) -> jax.Array:
         low, high = (params.values["gait_rate"][i] for i in (0, 1))

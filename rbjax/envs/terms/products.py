@@ -9,6 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import flag, real_number
+
 
 def product_of_rewards(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
     """Compute the reward of a control step: the product of the weighted terms. dt is not used.
@@ -53,6 +55,10 @@ def clipped_sum(
         >>> float(clipped_sum(0.0, 10.0)({"forward": 2.0, "effort": -5.0}, 0.02))
         0.0
     """
+
+    lower = real_number("clipped_sum", "low", low, finite=False)
+    real_number("clipped_sum", "high", high, least=lower, finite=False)
+    flag("clipped_sum", "times_dt", times_dt)
 
     def total(rewards: Mapping[str, jax.Array], dt: Any) -> Any:
         found = sum(rewards.values())

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_number
 from rbjax.envs.task import Event, Variable
 
 
@@ -33,6 +34,7 @@ def velocity_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...]
         >>> event.name
         'push'
     """
+    real_number("velocity_pushes", "dt", dt, above=0.0)
 
     def steps(key: Any, params: Any) -> jax.Array:
         return jnp.maximum(jnp.round(_uniform(key, params.values[f"{name}_time"]) / dt), 1.0)
@@ -71,6 +73,7 @@ def force_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...], E
         >>> variables[0].name
         'gust'
     """
+    real_number("force_pushes", "dt", dt, above=0.0)
 
     def drawn(what: str, unit: float) -> Any:
         def start(key: Any, params: Any) -> jax.Array:

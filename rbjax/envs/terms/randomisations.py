@@ -12,7 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array, real_number, shown
+from rbjax.dynamics.arguments import check_model
 from rbjax.envs.task import Randomisation, random_offset, random_scale
+from rbjax.errors import InputError
 from rbjax.model import Model
 
 
@@ -32,6 +35,9 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
         >>> rb.envs.terms.set_friction("floor", [0], 0.4, 1.0).name
         'floor'
     """
+    low, high = _range("set_friction", "(low, high)", (low, high))
+    if low < 0:
+        raise InputError(f"set_friction: low is {low}, expected at least 0")
 
     def draw(key: Any, params: Any) -> jax.Array:
         return jax.random.uniform(key, (), minval=low, maxval=high)
@@ -62,6 +68,9 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
         >>> rb.envs.terms.set_pair_friction("soles", [0, 1], 0.4, 1.0).name
         'soles'
     """
+    low, high = _range("set_pair_friction", "(low, high)", (low, high))
+    if low < 0:
+        raise InputError(f"set_pair_friction: low is {low}, expected at least 0")
 
     def draw(key: Any, params: Any) -> jax.Array:
         return jax.random.uniform(key, (), minval=low, maxval=high)
@@ -93,6 +102,10 @@ def joint_randomisations(
         >>> [r.name for r in found]
         ['friction_loss', 'armature', 'joint_zero']
     """
+    where = "joint_randomisations"
+    check_model(where, model)
+    zero = real_number(where, "zero", zero, least=0.0)
+    ranges = [_range(where, *x) for x in (("friction", friction), ("armature", armature))]
     free = model.nv - (model.nq - 7)
     joints, coordinates = np.arange(model.nv) >= free, np.arange(model.nq) >= 7
 
@@ -101,8 +114,8 @@ def joint_randomisations(
 
     most = np.where(coordinates, zero, 0.0)
     return (
-        random_scale("friction_loss", _friction_loss, *factors(friction), each=True),
-        random_scale("armature", lambda m: m.joints.armature, *factors(armature), each=True),
+        random_scale("friction_loss", _friction_loss, *factors(ranges[0]), each=True),
+        random_scale("armature", lambda m: m.joints.armature, *factors(ranges[1]), each=True),
         random_offset("joint_zero", lambda m: m.joints.reference, -most, most, each=True),
     )
 
@@ -126,6 +139,8 @@ def shift_center_of_mass(model: Model, body: str, most: float) -> Randomisation:
         >>> rb.envs.terms.shift_center_of_mass(rb.load("quadruped"), "trunk", 0.05).name
         'center_of_mass'
     """
+    check_model("shift_center_of_mass", model)
+    most = real_number("shift_center_of_mass", "most", most, least=0.0)
     limit = np.zeros(model.bodies.com.shape)
     limit[model.body(body)] = most
     return random_offset("center_of_mass", lambda m: m.bodies.com, -limit, limit, each=True)
@@ -149,12 +164,23 @@ def mass_randomisations(
         >>> [r.name for r in found]
         ['masses', 'load']
     """
+    check_model("mass_randomisations", model)
+    added = real_number("mass_randomisations", "added", added, least=0.0)
+    factor = _range("mass_randomisations", "factor", factor)
     limit = np.zeros(model.nb)
     limit[model.body(body)] = added
     return (
         random_scale("masses", lambda m: m.bodies.mass, *factor, each=True),
         random_offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
     )
+
+
+def _range(where: str, name: str, given: Any) -> tuple[float, float]:
+    """Return a range (low, high) of finite numbers."""
+    found = real_array(where, name, given, ndim=1)
+    if found.size != 2 or not found[0] <= found[1]:
+        raise InputError(f"{where}: {name} is {shown(given)}, expected (low, high), low first")
+    return float(found[0]), float(found[1])
 
 
 def _friction_loss(model: Any) -> jax.Array:

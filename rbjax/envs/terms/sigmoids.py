@@ -22,7 +22,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.arguments import choice, floating_array, real_array, real_number, shown
+from rbjax.errors import InputError
 
 
 class Sigmoid(NamedTuple):
@@ -92,8 +93,10 @@ def tolerance(
         >>> float(tolerance(0.8, (1.0, far), 0.4, "linear", value_at_margin=0.5))
         0.75
     """
-    if sigmoid not in SIGMOIDS:
-        raise UnknownName("sigmoid", sigmoid, SIGMOIDS)
+    choice("sigmoid", sigmoid, SIGMOIDS)
+    real_number("tolerance", "value_at_margin", value_at_margin)
+    if _known(margin):
+        margin = real_number("tolerance", "margin", margin, least=0.0)
     shape = SIGMOIDS[sigmoid]
     low, high = _bounds(bounds)
     least = 0.0 if shape.reaches_zero else math.ulp(0.0)
@@ -102,10 +105,7 @@ def tolerance(
             f"tolerance: value_at_margin is {value_at_margin} for the sigmoid {sigmoid!r}, "
             f"expected a number {'at least' if shape.reaches_zero else 'above'} 0 and below 1"
         )
-    if _known(margin) and not margin >= 0:
-        raise InputError(f"tolerance: margin is {margin}, expected a number of at least 0")
-    x = jnp.asarray(x)
-    x = x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)
+    x = floating_array("tolerance", "x", x, lambda shape: True, "of numbers")
     if _known(margin) and margin == 0:
         return jnp.where((low <= x) & (x <= high), jnp.ones_like(x), 0.0)
     d = jnp.maximum(jnp.maximum(low - x, x - high), 0.0)
@@ -124,9 +124,14 @@ def _known(x: Any) -> bool:
 
 def _bounds(bounds: Any) -> tuple[Any, Any]:
     """Return the two bounds; Python floats if they are known."""
-    if len(bounds) != 2:
-        raise InputError(f"tolerance: bounds are {bounds}, expected a pair (lower, upper)")
-    low, high = ((float(b) if _known(b) and np.ndim(b) == 0 else b) for b in bounds)
+    pair = isinstance(bounds, tuple | list) or np.ndim(bounds) > 0
+    if not pair or len(bounds) != 2:
+        raise InputError(f"tolerance: bounds are {shown(bounds)}, expected a pair (lower, upper)")
+    for b in filter(_known, bounds):
+        real_array("tolerance", "bounds", b, finite=False)
+    low, high = (
+        (float(b) if np.ndim(b) == 0 else np.asarray(b)) if _known(b) else b for b in bounds
+    )
     if _known(low) and _known(high) and not np.all(low <= high):
         raise InputError(
             f"tolerance: bounds are ({low}, {high}), expected lower <= upper; exchange them"

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.arguments import check_model
 from rbjax.envs.episode import Params
 from rbjax.model import Model, State
 
@@ -37,6 +38,7 @@ def planar_start(model: Model, root: str) -> Callable[[jax.Array, Params], State
         >>> start(jax.random.key(0), None).q.shape
         (1,)
     """
+    check_model("planar_start", model)
     low, high = np.where(np.isfinite(model.joints.range), model.joints.range, 0.0).T
     at = model.topology.joint_q[model.joint(root)]
     low, high = np.array(low), np.array(high)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import flag, real_array
 from rbjax.errors import InputError
 from rbjax.flexible.modal.finite_elements import (
     FiniteElements,
@@ -116,7 +117,13 @@ def box_mesh(
     """
     from itertools import permutations
 
-    size, count = np.asarray(size, float), np.asarray(divisions, int)
+    flag("box_mesh", "quadratic", quadratic)
+    size, count = (
+        real_array("box_mesh", name, x) for name, x in (("size", size), ("divisions", divisions))
+    )
+    if (count % 1).any():
+        raise InputError(f"box_mesh: divisions are {count.tolist()}, expected integers")
+    count = count.astype(int)
     if size.shape != (3,) or count.shape != (3,) or not ((size > 0).all() and (count > 0).all()):
         raise InputError(
             f"box_mesh: got the size {size.tolist()} and divisions {count.tolist()}, expected "
