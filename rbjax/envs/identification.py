@@ -165,6 +165,9 @@ def control_grid(env: Environment) -> Grid:
     Returns:
         `rb.sysid.Grid` with the control step in s, the physics steps in it, and the integrator.
 
+    Raises:
+        InputError: not an environment.
+
     Example:
         >>> import dataclasses, rbjax as rb
         >>> task = dataclasses.replace(rb.envs.tasks()["cart_pole_balance"](), decimation=5)

@@ -26,6 +26,9 @@ def switched_commands(dt: float, name: str = "command") -> tuple[Variable, ...]:
         name: name of the variable (n,). Its values are `name_range` a (n,), `name_on` b (n,) and
             `name_time`, s, the mean time between changes.
 
+    Raises:
+        InputError: dt is not a number above zero.
+
     Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 joystick.
 
     Example:
@@ -75,6 +78,9 @@ def periodic_commands(every: int, name: str = "command") -> tuple[Variable, ...]
     Args:
         every: number of control steps.
         name: name of the variable (n,). Its values are `name_low`, `name_high` (n,), `name_stop` s.
+
+    Raises:
+        InputError: every is not an integer above zero.
 
     Example:
         >>> import rbjax as rb

@@ -35,6 +35,9 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
         dt: control step, s.
         offsets: phase of each leg at a reset, rad.
 
+    Raises:
+        InputError: dt is not a number above zero, or offsets are not numbers.
+
     Example:
         >>> import rbjax as rb
         >>> phase, rate = rb.envs.terms.gait_clock(0.02, (0.0, 1.5))

@@ -48,6 +48,9 @@ def clipped_sum(
     Returns:
         Function (name -> weighted term (), dt) that returns the reward () of a step.
 
+    Raises:
+        InputError: low above high, or not numbers.
+
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 
     Example:

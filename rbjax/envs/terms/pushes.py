@@ -26,6 +26,9 @@ def velocity_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...]
         name: name of the event. Its values are `name_time` (2,), s, and `name_speed` (2,), m/s, the
             ranges of uniform distributions. A time below one control step is one control step.
 
+    Raises:
+        InputError: dt is not a number above zero.
+
     Source: Zakka et al., *MuJoCo Playground*, 2025, G1 joystick.
 
     Example:
@@ -64,6 +67,9 @@ def force_pushes(dt: float, name: str = "push") -> tuple[tuple[Variable, ...], E
             zero is no push.
 
     The variable `name` (3,) is the acceleration in world axes, m/s^2.
+
+    Raises:
+        InputError: dt is not a number above zero.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025, Go1 joystick.
 

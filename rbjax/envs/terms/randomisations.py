@@ -30,6 +30,9 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
     Returns:
         `Randomisation`.
 
+    Raises:
+        InputError: low above high, or below zero.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.terms.set_friction("floor", [0], 0.4, 1.0).name
@@ -63,6 +66,9 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
     Returns:
         `Randomisation`.
 
+    Raises:
+        InputError: low above high, or below zero.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.terms.set_pair_friction("soles", [0, 1], 0.4, 1.0).name
@@ -94,6 +100,9 @@ def joint_randomisations(
         model: the robot.
         friction, armature: ranges of the factors of friction loss and armature of each joint.
         zero: greatest change of the zero of each joint, rad.
+
+    Raises:
+        InputError: not a model, or ranges that are not low to high.
 
     Example:
         >>> import rbjax as rb
@@ -156,6 +165,9 @@ def mass_randomisations(
         body: the body that carries a load.
         factor: range of the factor of the mass of each body.
         added: greatest absolute mass that is added to the body, kg.
+
+    Raises:
+        InputError: not a model, or ranges that are not low to high.
 
     Example:
         >>> import rbjax as rb
