@@ -180,7 +180,23 @@ def solved(model: rb.Model, q: Any, v: Any) -> tuple:
     return found.acceleration, found.contact, found.contacts.force, found.error * 0
 
 
+def hit(model: rb.Model, q: Any, v: Any) -> tuple:
+    """The ball on a slide hits the floor, by the law of impact."""
+    found = rb.contact.impulse(model, state(q, v), restitution=0.5, friction=0.3, reach=1.0)
+    return found.v, found.impulses
+
+
+def pressed(law: Any, model: rb.Model, q: Any, v: Any) -> Any:
+    return rb.contact.solve(model, state(q, v), contact=law).acceleration
+
+
+DOWN = [0.01 * ALONG + [0.3, -0.22], 0.3 * ON - [0.0, 1.0]]
 CONTACT = {
+    "impulse": Case(lambda d: functools.partial(hit, balls(d)), DOWN),
+    **{
+        f"solve, {law}": Case(lambda d, law=law: functools.partial(pressed, law, balls(d)), DOWN)
+        for law in ("coulomb", "impulse")
+    },
     "detect": Case(lambda d: functools.partial(detected, balls(d)), [0.1 * ON]),
     "solve": Case(
         lambda d: functools.partial(solved, balls(d)), [0.01 * ALONG + [0.3, -0.22], 0.3 * ON]
