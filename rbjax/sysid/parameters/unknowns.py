@@ -147,7 +147,7 @@ class Inertia:
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """Compute the divergence of one body, or the sum over several, with ten parameters each."""
         slopes = _pseudo_slopes()
-        P, P0 = (np.tensordot(x.reshape(-1, 10), slopes, 1) for x in (p, p0))
+        P, P0 = ((x.reshape(-1, 10) @ slopes.reshape(10, 16)).reshape(-1, 4, 4) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
 
     def _place(self, target: Any) -> tuple[Any, int]:
