@@ -73,7 +73,7 @@ def environment(start, episode=EPISODE, **more):
     task = rb.envs.Task(
         "swing_up", model, start, {"policy": (rb.envs.Observation("state", observe),)},
         (rb.envs.Reward("swing_up", swing_up),), dt=DT, episode=episode,
-        total=lambda terms, dt: sum(terms.values()), **more,
+        total_reward=lambda terms, dt: sum(terms.values()), **more,
     )  # fmt: skip
     return rb.envs.Environment(task)
 

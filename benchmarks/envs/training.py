@@ -7,7 +7,8 @@ prints a line for each report and writes results/training-TASK-ALGORITHM-<device
 so that a run that is cut leaves what it reached; and with --out a folder with table.csv, chart.png
 and the checkpoint. f32. The clock starts before the environment is made. --goal stops the training
 at a reward of an episode. --set changes a setting: --set num_envs=4096. --option changes
-an option of the task: --option iterations=3.
+an option of the task: --option iterations=3; --train-option changes it for the training only, and
+not for the evaluation at the end.
 """
 
 from __future__ import annotations
@@ -33,6 +34,12 @@ class GoalReached(Exception):
     """The reward of an episode is that of --goal."""
 
 
+def literals(pairs: list[str]) -> dict[str, Any]:
+    """Return the values of NAME=VALUE."""
+    split = (pair.split("=", 1) for pair in pairs)
+    return {name: ast.literal_eval(value) for name, value in split}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -47,21 +54,23 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--train-option", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--episodes", type=int, default=256, help="of the last evaluation; 0: none")
     given = parser.parse_args()
     jax.numpy.zeros(1).block_until_ready()  # the device is awake
 
     learning = rb.envs.learning
     began = time.perf_counter()
-    options = {n: ast.literal_eval(x) for n, x in (o.split("=", 1) for o in given.option)}
-    env = rb.envs.make(given.task, **options)
+    options, own = literals(given.option), literals(given.train_option)
+    judge = rb.envs.make(given.task, **options)
+    env = rb.envs.make(given.task, **options, **own) if own else judge
     chosen = learning.settings(given.task, given.algorithm)
     chosen |= {} if given.steps is None else {"steps": given.steps}
-    changed = dict(pair.split("=", 1) for pair in given.set)
-    chosen |= {name: ast.literal_eval(value) for name, value in changed.items()}
+    chosen |= literals(given.set)
     row: dict[str, Any] = {
-        "task": given.task, "options": options, "algorithm": given.algorithm, "seed": given.seed,
-        "devices": given.devices, "settings": chosen, "made_s": time.perf_counter() - began,
+        "task": given.task, "options": options, "train_options": own,
+        "algorithm": given.algorithm, "seed": given.seed, "devices": given.devices,
+        "settings": chosen, "made_s": time.perf_counter() - began,
     }  # fmt: skip
     name = f"training-{given.task}-{given.algorithm}".replace("_", "-")
     last: dict[str, Any] = {}
@@ -90,7 +99,7 @@ def main() -> None:
         except GoalReached:
             row["goal_reached_s"] = time.perf_counter() - began
     if given.episodes:
-        found = learning.evaluate(env, last["policy"], jax.random.key(1), given.episodes)
+        found = learning.evaluate(judge, last["policy"], jax.random.key(1), given.episodes)
         row["evaluation"] = {
             "episodes": given.episodes, "return": float(found.returns.mean()),
             "std": float(found.returns.std()), "length": float(found.lengths.mean()),

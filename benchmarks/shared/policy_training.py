@@ -58,7 +58,7 @@ def environment(hanging: bool = False) -> Any:
             "swing_up", model, start, {"policy": (rb.envs.Observation("state", observe),)},
             (rb.envs.Reward("swing_up", reward),), dt=DT, episode=EPISODE,
             terminations={} if hanging else {"off": lambda to: jnp.abs(to.after.q[0]) > 3.0},
-            total=lambda terms, dt: sum(terms.values()),
+            total_reward=lambda terms, dt: sum(terms.values()),
         )
     )  # fmt: skip
 

@@ -57,19 +57,7 @@ TABLES = {
         ("shac-settings-*",),
         (
             C("task"),
-            *(
-                C(lambda row, name=name: f"{row['settings'][name]:g}", text)
-                for name, text in (
-                    ("reward_scale", "factor of the reward"),
-                    ("discount", "discount"),
-                    ("rate", "rate"),
-                    ("critic_rate", "rate of V"),
-                    ("std", "noise"),
-                    ("slow", "update of V'"),
-                    ("limit", "limit of each gradient"),
-                    ("ramp", "softer contacts"),
-                )
-            ),
+            C(lambda row: ", ".join(f"{n} {x:g}" for n, x in row["settings"].items()), "changes"),
             C(lambda row: row["curve"][-1]["steps"], "steps"),
             C("return"),
         ),

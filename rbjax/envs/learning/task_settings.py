@@ -66,13 +66,21 @@ CART_POLE_SHAC = {
     "hidden": (32, 16),
 }  # fmt: skip
 
-#: of Go1, which does not walk with them yet; with `gradient_limit` it learned to fall
+#: of Go1 with the option `smooth`
 GO1_SHAC = {
-    "steps": 8_000_000, "batch": 256, "horizon": 32, "discount": 0.97, "rate": 1e-3,
-    "critic_rate": 1e-3, "target_rate": 0.5, "std": 0.15, "reward_scale": 30.0,
-    "max_grad_norm": 0.03,
+    "steps": 8_000_000, "batch": 256, "discount": 0.98, "rate": 1e-3, "critic_rate": 1e-3,
+    "target_rate": 0.8, "std": 0.2, "reward_scale": 30.0,
 }  # fmt: skip
-GO1_SHAC_CPU = {"steps": 4_000_000, "batch": 64}
+GO1_SHAC_CPU = {"steps": 3_000_000, "batch": 64}
+#: of the hopper of Xu et al. 2022, whose networks, rates and target these are
+HOPPER_RUN_SHAC = {
+    "steps": 2_000_000, "batch": 64, "rate": 2e-3, "critic_rate": 1e-3, "target_rate": 0.8,
+    "std": 0.37, "hidden": (128, 64, 32),
+}  # fmt: skip
+HOPPER_RUN_PPO = CONTROL_SUITE | {
+    "num_updates_per_batch": 8, "discounting": 0.99, "learning_rate": 3e-4, "entropy_cost": 1e-3,
+    "reward_scaling": 0.1, "max_grad_norm": 1.0, "policy_hidden": (128, 64, 32),
+}  # fmt: skip
 LEGS_SHAC = {
     "steps": 8_000_000, "batch": 256, "horizon": 32, "discount": 0.98, "rate": 1e-3,
     "critic_rate": 1e-3, "target_rate": 0.5, "std": 0.3, "max_grad_norm": 0.02,
@@ -86,6 +94,11 @@ TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
     "g1_joystick": {"ppo": G1, "shac": GO1_SHAC},
     "panda_pick_cube": {"ppo": PANDA},
     **{f"hopper_{name}": {"ppo": CONTROL_SUITE, "shac": LEGS_SHAC} for name in ("stand", "hop")},
+    "hopper_run": {
+        "ppo": HOPPER_RUN_PPO,
+        "shac": HOPPER_RUN_SHAC,
+        "shac cpu": {"steps": 600_000},
+    },
     **{
         f"walker_{name}": {"ppo": CONTROL_SUITE, "shac": LEGS_SHAC}
         for name in ("stand", "walk", "run")

@@ -9,6 +9,7 @@ Files:
     hopper.py: a planar hopper that stands or hops.
     ice.py: a car with tyre slip races on ice.
     legged.py: what the legged tasks share.
+    running_hopper.py: a planar hopper that runs, with smooth rewards.
     trailer.py: a car parks its trailer backwards.
     walker.py: a planar walker that stands, walks or runs.
     panda.py: an arm that picks up a cube.

@@ -8,6 +8,7 @@ import pytest
 
 import rbjax as rb
 from tests.envs.suite import walking
+from tests.envs.suite.walking import samples
 
 FEET = ("left_foot", "right_foot")
 HOME = np.array(
@@ -15,7 +16,7 @@ HOME = np.array(
     + [0.2, 0.2, 0, 0.6, 0, 0, 0] + [0.2, -0.2, 0, 0.6, 0, 0, 0]
 )  # fmt: skip
 HIP_ROLL, HIP_YAW, KNEE = [1, 7], [2, 8], [3, 9]
-COUNT, STEPS = 8, 6
+STEPS = 6
 
 
 @pytest.fixture(scope="module")
@@ -25,15 +26,8 @@ def env():
 
 @pytest.fixture(scope="module")
 def walk(env):
-    """Transitions of random actions: state before, action, observation, state after, info."""
-    quiet = env.default_params.replace(noise=jnp.zeros(()))
-    keys = jax.random.split(jax.random.key(0), COUNT)
-
-    @jax.jit
-    def step(keys, state, action):
-        return jax.vmap(env.step_once, (0, 0, 0, None))(keys, state, action, quiet)
-
-    _, state = jax.vmap(env.reset, (0, None))(keys, quiet)
+    """Transitions of random actions."""
+    params, state = walking.quiet(env)
     # a zero and a lateral command, one falls, one crosses its feet, one its hands and thighs, one
     # flies, one lands hard, one bends its knees too far
     command = state.variables["command"].at[0].set(0.0).at[1].set(jnp.array([0.5, 0.4, 0.2]))
@@ -47,20 +41,7 @@ def walk(env):
         variables=state.variables | {"command": command, "air_time": air},
         state=state.state.replace(q=q, v=v),
     )
-    rng, path = np.random.default_rng(1), []
-    for k in range(STEPS):
-        action = jnp.asarray(rng.uniform(-1, 1, (COUNT, 29))) * (k < 2)
-        keys = jax.random.split(jax.random.key(k), COUNT)
-        obs, after, reward, done, info = step(keys, state, action)
-        path.append(jax.tree.map(np.asarray, (state, action, obs, after, reward, done, info)))
-        state = after
-    return path
-
-
-def samples(walk):
-    for transition in walk:
-        for i in range(COUNT):
-            yield jax.tree.map(lambda x, i=i: x[i], transition)
+    return walking.transitions(env, params, state, STEPS, lambda k: k < 2)
 
 
 def test_sizes(env):

@@ -8,10 +8,11 @@ import pytest
 
 import rbjax as rb
 from tests.envs.suite import walking
+from tests.envs.suite.walking import samples
 
 FEET = ("FR", "FL", "RR", "RL")
 HOME = np.array([0.1, 0.9, -1.8, -0.1, 0.9, -1.8] * 2)
-COUNT, STEPS = 8, 12
+STEPS = 12
 
 
 @pytest.fixture(scope="module")
@@ -21,15 +22,8 @@ def env():
 
 @pytest.fixture(scope="module")
 def walk(env):
-    """Transitions of random actions: state before, action, observation, state after, info."""
-    quiet = env.default_params.replace(noise=jnp.zeros(()))
-    keys = jax.random.split(jax.random.key(0), COUNT)
-
-    @jax.jit
-    def step(keys, state, action):
-        return jax.vmap(env.step_once, (0, 0, 0, None))(keys, state, action, quiet)
-
-    _, state = jax.vmap(env.reset, (0, None))(keys, quiet)
+    """Transitions of random actions."""
+    params, state = walking.quiet(env)
     # one robot stands still by command, one falls, two fly, one with a bent knee
     command = state.variables["command"].at[0].set(0.0)
     q = state.state.q.at[1, 3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])).at[1:4, 2].add(0.3)
@@ -37,20 +31,7 @@ def walk(env):
     state = state.replace(
         variables=state.variables | {"command": command}, state=state.state.replace(q=q)
     )
-    rng, path = np.random.default_rng(1), []
-    for k in range(STEPS):
-        action = jnp.asarray(rng.uniform(-1, 1, (COUNT, 12))) * (k % 4 < 2)
-        keys = jax.random.split(jax.random.key(k), COUNT)
-        obs, after, reward, done, info = step(keys, state, action)
-        path.append(jax.tree.map(np.asarray, (state, action, obs, after, reward, done, info)))
-        state = after
-    return path
-
-
-def samples(walk):
-    for transition in walk:
-        for i in range(COUNT):
-            yield jax.tree.map(lambda x, i=i: x[i], transition)
+    return walking.transitions(env, params, state, STEPS, lambda k: k % 4 < 2)
 
 
 def test_sizes(env):

@@ -1,30 +1,13 @@
 """Hopper tasks against MuJoCo C with the same file, and dm_control's formulas in NumPy."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.envs.suite.mujoco_states import (
-    after,
-    at,
-    batch,
-    body_com,
-    motion,
-    mujoco_model,
-    resets,
-    same_model,
-    sensor,
-    stepped,
-)
+from tests.envs.suite import planar
+from tests.envs.suite.mujoco_states import at, body_com, resets, sensor, stepped
 
-M = mujoco_model("hopper")
-#: motions from random angles, on the floor and folded, and a leap upright
-STATES = [
-    *motion(M, 60, 10, 0, [0, -0.2, 0.3, 0.1, -0.5, 0.8, 0.1]),
-    *motion(M, 60, 10, 1, [0, -0.4, 2.5, 0, -2.5, 2.3, 0.5]),
-]
+M, STATES = planar.HOPPER, planar.STATES["hopper_hop"]
 STANDING = [
     (np.array([0.3, 0.05 + 0.1 * k, 0.05, 0, -0.1, 0.2, -0.1]), np.eye(7)[0] * s, np.ones(4) * u)
     for k, s, u in [(0, 0.5, 0.2), (1, 1.5, -0.7), (2, 1.99, 1.0), (3, 2.5, 0.0), (4, 0.9, -0.3)]
@@ -34,20 +17,6 @@ STANDING = [
 @pytest.fixture(scope="module")
 def env():
     return rb.envs.make("hopper_hop")
-
-
-def test_model_and_physics(env):
-    same_model(env.task.model, M)
-    assert env.dt == pytest.approx(0.02) and env.episode == 1000
-    found = stepped(env, STATES)[1].state
-    contacts = 0
-    for i, state in enumerate(STATES):
-        q, v = after(M, state, 4)
-        contacts += at(M, state).ncon
-        # four steps of contacts, each solved to 1e-12
-        np.testing.assert_allclose(found.q[i], q, atol=1e-11)
-        np.testing.assert_allclose(found.v[i], v, atol=1e-9)
-    assert contacts > 20
 
 
 def test_observation(env):
@@ -108,33 +77,3 @@ def test_only_time_ends_an_episode(env):
     assert not env.task.terminations
     done = stepped(env, STATES)[3]
     assert not done.any()
-
-
-def test_single_precision(env):
-    """f32 rounds an angle of 3 rad to 2e-7; a control step amplifies it through stiff contacts."""
-    states = [*STATES, *STANDING]
-    with jax.enable_x64(False):
-        obs, state, reward, *_ = stepped(rb.envs.make("hopper_hop", touch=False), states)
-        assert obs.dtype == reward.dtype == jnp.float32
-    double = stepped(env, states)
-    np.testing.assert_allclose(state.state.q, double[1].state.q, atol=2e-4)
-    np.testing.assert_allclose(reward, double[2], atol=1e-5)
-
-
-def test_gradient_through_contacts():
-    """Of the speed after a control step with respect to the action, against central differences;
-    no contact begins or ends in the step."""
-    env = rb.envs.make("hopper_stand", touch=False)
-    state = jax.tree.map(lambda x: x[0], batch(env, STATES[8:9]))
-    assert at(M, STATES[8]).ncon > 0
-
-    @jax.jit
-    def speed(action):
-        _, after, reward, *_ = env.step_once(jax.random.key(0), state, action)
-        return reward + (after.state.v**2).sum()
-
-    action, h = jnp.full(4, 0.1), 1e-6
-    grad = jax.jit(jax.grad(speed))(action)
-    numeric = [(speed(action + e) - speed(action - e)) / (2 * h) for e in h * jnp.eye(4)]
-    # rounding of a speed^2 near 100, over 2e-6
-    np.testing.assert_allclose(grad, jnp.stack(numeric), rtol=1e-6, atol=1e-6)

@@ -3,11 +3,18 @@
 Written from the equations of MuJoCo Playground's tasks, on `mujoco.MjData` after `mj_forward`.
 """
 
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+
+#: robots of `transitions`
+COUNT = 8
 
 
 def path(name: str) -> Path:
@@ -58,3 +65,37 @@ class Robot:
     @property
     def forces(self):
         return self.data.actuator_force
+
+
+def quiet(env: Any) -> tuple[Any, Any]:
+    """The parameters without noise, and the first states of `COUNT` robots."""
+    params = env.default_params.replace(noise=jnp.zeros(()))
+    keys = jax.random.split(jax.random.key(0), COUNT)
+    return params, jax.vmap(env.reset, (0, None))(keys, params)[1]
+
+
+def transitions(
+    env: Any, params: Any, state: Any, steps: int, acts: Callable[[int], bool]
+) -> list[Any]:
+    """Steps of robots: state before, action, observation, state after, reward, done, info. The
+    actions are random in the steps k with `acts(k)`, else zero."""
+
+    @jax.jit
+    def step(keys, state, action):
+        return jax.vmap(env.step_once, (0, 0, 0, None))(keys, state, action, params)
+
+    rng, path = np.random.default_rng(1), []
+    for k in range(steps):
+        action = jnp.asarray(rng.uniform(-1, 1, (COUNT, env.action_size))) * acts(k)
+        keys = jax.random.split(jax.random.key(k), COUNT)
+        obs, after, reward, done, info = step(keys, state, action)
+        path.append(jax.tree.map(np.asarray, (state, action, obs, after, reward, done, info)))
+        state = after
+    return path
+
+
+def samples(walk: list[Any]) -> Iterator[Any]:
+    """The transitions of each robot."""
+    for transition in walk:
+        for i in range(COUNT):
+            yield jax.tree.map(lambda x, i=i: x[i], transition)
