@@ -30,7 +30,7 @@ from rbjax.lanes import Lane, Vec3, add, matmat, mul, total
 from rbjax.model import WORLD, Model, prepare
 from rbjax.model.cells import constant_leaves
 from rbjax.model.leaves import table
-from rbjax.model.links import lane
+from rbjax.model.links import lane, without_constants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 #: a function of two arrays that returns both
@@ -62,8 +62,9 @@ def inverse_weights(
     if model.topology.frames:
         return _of_flexible(model, dtype)
     traced = [isinstance(x, jax.core.Tracer) for x in constant_leaves(model).values()]
-    constant = model.execution.constants is None and not any(traced)
+    constant = not any(traced)
     if constant:
+        model = without_constants(model)
         d: Driver = Unrolled(model, prepare(model, dtype))
     else:  # a short program, which runs once
         d = Rolled(model, prepare(model, dtype))

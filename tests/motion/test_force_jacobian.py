@@ -93,7 +93,8 @@ def test_forces_that_reach_beyond_their_joint_take_one_tangent_a_column(monkeypa
     monkeypatch.setattr(force_jacobian, "CPU_UNROLLED_UP_TO", 0)
     model = tree((HINGE, SLIDE), ())
     assert force_jacobian.by_joint(model)
-    spring = rb.forces.PointSpring  # between two points, so it couples the joints
+    ends = rb.forces.Place.on(point=[0.0, 0.0, 1.0]), rb.forces.Place.on(body=0)
+    spring = rb.forces.PointSpring.of(*ends, stiffness=3.0)  # it couples the joints
     assert not force_jacobian.by_joint(model.replace(forces=(spring,)))
     at_site = tree((HINGE, SLIDE), ('<motor site="s" gear="1 0 0 0 0 0"/>',))
     assert not force_jacobian.by_joint(at_site)

@@ -395,7 +395,7 @@ OTHERS: dict[str, Callable] = room_calls.OTHERS | {
 } | {
     f"constraints.residual of {name}": residual_of(getattr(constraints, name))
     for name in ("Gear", "JointPolynomial")
-}
+}  # fmt: skip
 
 
 def function_of(room: str, name: str) -> Callable:

@@ -72,7 +72,7 @@ GO1_SHAC = {
     "target_rate": 0.8, "std": 0.2, "reward_scale": 30.0,
 }  # fmt: skip
 GO1_SHAC_CPU = {"steps": 3_000_000, "batch": 64}
-#: of the hopper of Xu et al. 2022, whose networks, rates and target these are
+#: of the hopper of Xu et al. 2022, whose policy network, its rate and `target_rate` these are
 HOPPER_RUN_SHAC = {
     "steps": 2_000_000, "batch": 64, "rate": 2e-3, "critic_rate": 1e-3, "target_rate": 0.8,
     "std": 0.37, "hidden": (128, 64, 32),
