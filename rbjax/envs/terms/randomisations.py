@@ -5,7 +5,7 @@ All are uniform, and drawn at each reset.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -38,12 +38,7 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
         >>> rb.envs.terms.set_friction("floor", [0], 0.4, 1.0).name
         'floor'
     """
-    low, high = _range("set_friction", "(low, high)", (low, high))
-    if low < 0:
-        raise InputError(f"set_friction: low is {low}, expected at least 0")
-
-    def draw(key: Any, params: Any) -> jax.Array:
-        return jax.random.uniform(key, (), minval=low, maxval=high)
+    draw = _coefficient("set_friction", low, high)
 
     def apply(model: Model, value: jax.Array) -> Model:
         assert model.geoms is not None
@@ -74,12 +69,7 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
         >>> rb.envs.terms.set_pair_friction("soles", [0, 1], 0.4, 1.0).name
         'soles'
     """
-    low, high = _range("set_pair_friction", "(low, high)", (low, high))
-    if low < 0:
-        raise InputError(f"set_pair_friction: low is {low}, expected at least 0")
-
-    def draw(key: Any, params: Any) -> jax.Array:
-        return jax.random.uniform(key, (), minval=low, maxval=high)
+    draw = _coefficient("set_pair_friction", low, high)
 
     def apply(model: Model, value: jax.Array) -> Model:
         assert model.geoms is not None
@@ -185,6 +175,18 @@ def mass_randomisations(
         random_scale("masses", lambda m: m.bodies.mass, *factor, each=True),
         random_offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
     )
+
+
+def _coefficient(where: str, low: Any, high: Any) -> Callable[[Any, Any], jax.Array]:
+    """Return the draw of one coefficient of friction between `low` and `high`."""
+    low, high = _range(where, "(low, high)", (low, high))
+    if low < 0:
+        raise InputError(f"{where}: low is {low}, expected at least 0")
+
+    def draw(key: Any, params: Any) -> jax.Array:
+        return jax.random.uniform(key, (), minval=low, maxval=high)
+
+    return draw
 
 
 def _range(where: str, name: str, given: Any) -> tuple[float, float]:
