@@ -13,6 +13,7 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics.inverse_weights import inverse_weights
 from rbjax.loading import compile_model
+from rbjax.model import with_constants
 from tests.loading.test_load import load_quietly
 from tests.robots import QUICK
 
@@ -53,6 +54,15 @@ def check(m: mujoco.MjModel, model: rb.Model) -> None:
 def test_weights_are_those_of_mujoco(name: str) -> None:
     m = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{CASES[name]}</worldbody></mujoco>")
     check(m, load_quietly(m))
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_precomputed_constants_leave_the_weights_constant(dtype) -> None:
+    """So the contact parameters are constants of a rollout's program."""
+    m = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{CASES['two free bodies']}</worldbody></mujoco>"
+    )
+    check(m, with_constants(load_quietly(m), dtype))
 
 
 @pytest.mark.parametrize(
