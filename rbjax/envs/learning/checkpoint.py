@@ -218,7 +218,7 @@ def read_head(file: Path) -> dict[str, Any]:
             found = shown(head["policy"].get(name))
             raise wrong(f"has policy.{name} {found}, expected {expected}")
     if head["policy"]["normalised"] and head["policy"].get("limit") is None:
-        raise wrong("has no policy.limit, expected that of the normalised observations")
+        raise wrong("has no policy.limit, expected the limit of the normalised observations")
     task_function(head["task"], head["options"])
     return head
 

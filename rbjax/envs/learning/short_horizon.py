@@ -159,7 +159,7 @@ def shac(
     if gradient_limit is not None:
         real_number(where, "gradient_limit", gradient_limit, above=0.0)
     if critic is not None:
-        instance(where, "critic", critic, Critic, "a Critic, such as that of new_critic")
+        instance(where, "critic", critic, Critic, "a Critic, such as new_critic returns")
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
