@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import typing
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -50,7 +51,7 @@ def check_ranges(
     check_fields(record)
     for field in dataclasses.fields(record):
         value, where = getattr(record, field.name), f"{type(record).__name__}({field.name}=...)"
-        if not str(field.type).startswith(("jax.Array", "<class 'jax.Array")) or value is None:
+        if value is None or not _is_number(field):
             continue
         check_numbers(where, value, infinite=record.may_be_infinite(field.name))
         shape = jnp.shape(value)
@@ -69,6 +70,13 @@ def check_ranges(
     _check(record, above, np.greater, "above")
     _check(record, least, np.greater_equal, "of at least")
     _check(record, most, np.less_equal, "of at most")
+
+
+def _is_number(field: dataclasses.Field) -> bool:
+    """Check that a field is declared as an array; equinox resolves the types of some fields."""
+    if isinstance(field.type, str):
+        return field.type.startswith("jax.Array")
+    return jax.Array in (typing.get_args(field.type) or (field.type,))
 
 
 def _check(record: Record, limits: Mapping[str, Any], within: Callable, text: str) -> None:

@@ -135,6 +135,8 @@ def power(vehicle, state, u):
         lost += drive.motor.heat(u[i], speed)
     slips = isinstance(vehicle, Slipping)
     loads, forces = vehicle.wheel_forces(context) if slips else (wheel_loads(n), None)
+    if slips:  # a wheel that would lift has no contact
+        loads = [jnp.maximum(load, 0.0) for load in loads]
     twists = twists_of(n, shape, w)
     for i, (wheel, (c, s)) in enumerate(zip(n.wheels, shape.wheels, strict=True)):
         roll = wheel.radius * shafts[wheel.shaft]

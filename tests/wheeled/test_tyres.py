@@ -69,6 +69,18 @@ def test_rolling_resistance():
         RollingResistance([0.01, 0.02])
 
 
+@pytest.mark.parametrize("wrong", [[0.01, 0.02, 0.03], float("nan")], ids=["shape", "nan"])
+@pytest.mark.parametrize("make", [
+    RollingResistance, rb.wheeled.Linear, lambda x: rb.wheeled.Fiala(20.0, x),
+    lambda x: rb.wheeled.DCMotor(x, 0.05), lambda x: rb.wheeled.SpeedServo(0.4, x),
+], ids=["resistance", "linear", "fiala", "motor", "servo"])  # fmt: skip
+def test_wrong_numbers_are_rejected(make, wrong):
+    """Numbers are checked whether or not equinox has resolved the types of the fields."""
+    make(0.5)
+    with pytest.raises(rb.InputError, match=r"\(\w+=\.\.\.\): "):
+        make(wrong)
+
+
 def test_a_law_of_a_user():
     """A law gives secants and slopes, and no more."""
 
