@@ -14,11 +14,13 @@ attitudes too. The states of force elements follow the implicit midpoint rule.
 R = 0 is solved by a simplified Newton (chord) iteration: w - (M + h D / 2 + h^2 K / 4)^-1 R(w). The
 matrix is evaluated at q0 (+) h v0 / 2, with the dampers D, the springs K and the servo gains of
 joints, and is factored once (articulated-body factors). An evaluation is O(n), and divides the
-error by about h |dM/dq v| / |M|. A spring k on a mass m whose element has no implicit stiffness
-converges for h < 2 sqrt(m / k), the stability limit of explicit methods. The matrix has no
-constraint terms: near a singular position, with singular value sigma of the constraint Jacobian,
-an evaluation multiplies a velocity across the constraints by about h v / sigma, and the step may
-not converge in f64. In f32 the constraint equations damp sigma below 1e-2.
+error by about h |dM/dq v| / |M|. The matrix has no geometric stiffness, by which a bent beam
+couples bending and torsion: with flexible links the iteration is accelerated
+(`rbjax.solvers.anderson`). A spring k on a mass m whose element has no implicit stiffness converges
+for h < 2 sqrt(m / k), the stability limit of explicit methods. The matrix has no constraint terms:
+near a singular position, with singular value sigma of the constraint Jacobian, an evaluation
+multiplies a velocity across the constraints by about h v / sigma, and the step may not converge in
+f64. In f32 the constraint equations damp sigma below 1e-2.
 
 Source: Marsden & West, *Acta Numerica* 2001; on Lie groups Bou-Rabee & Marsden, *Foundations of
 Computational Mathematics* 9, 2009.
@@ -46,6 +48,7 @@ from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_zero, mul, total
 from rbjax.model import State, Topology, spans
 from rbjax.motion.field import Field
 from rbjax.rotations.coefficients import stumpff
+from rbjax.solvers.anderson import History, accelerate
 
 #: evaluations times dofs up to which the loop is unrolled
 WRITTEN_UP_TO = 13
@@ -94,14 +97,17 @@ class VariationalMidpoint:
             return residual(model.topology, half, w, p, p0, force), force, rate, error
 
         def once(at: tuple, _: Any = None) -> tuple[tuple, Any]:
-            w, x, *_ = at
+            w, x, *_, history = at
             R, force, rate, error = evaluated(w, x)
             dw = correction(R)
             x = None if x0 is None else x0 + half * rate
-            return (w - dw, x, force, rate, error, dw), None
+            new = w - dw
+            if history is not None:
+                new, history = accelerate(history, w, new, largest(dw))
+            return (new, x, force, rate, error, dw, history), None
 
-        at, _ = once((v0, x0))
-        first = at[-1]
+        at, _ = once((v0, x0, History.start(v0) if model.topology.frames else None))
+        first = at[-2]
         more = self.evaluations - 1
         if self.evaluations * model.nv <= WRITTEN_UP_TO:
             for _ in range(more):
@@ -109,7 +115,7 @@ class VariationalMidpoint:
         else:
             again = jax.checkpoint(once, prevent_cse=False)
             at, _ = jax.lax.scan(again, at, None, length=more)
-        w, _, force, rate, error, last = at
+        w, _, force, rate, error, last, _ = at
         q = field.retract(q0, dt * w)
         v = velocity_of(model, q, carried(model.topology, half, w, p0, force))
         digits = float(jnp.finfo(q.dtype).eps) ** 0.5 * (1 + largest(q0)) / dt

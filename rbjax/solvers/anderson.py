@@ -46,7 +46,11 @@ def accelerate(
     history: History, x: jax.Array, f: jax.Array, error: jax.Array
 ) -> tuple[jax.Array, History]:
     """Return the next x (n,) of the iteration, and the history with this round.
-    f: (n,) value f(x). error: () error of this round, such as a norm of f - x."""
+
+    The weights s_i are constants in derivatives.
+
+    f: (n,) value f(x). error: () error of this round, such as a norm of f - x.
+    """
     r = f - x
     df, dr = f - history.f, r - history.r
     one = jnp.isfinite(history.error) & ((error < history.error) | ~history.used)
@@ -58,4 +62,5 @@ def accelerate(
     det = jnp.where(two, det, 1.0)
     s = jnp.where(two, (c * y - b * z) / det, jnp.where(one, y / jnp.where(one, a, 1.0), 0.0))
     t = jnp.where(two, (a * z - b * y) / det, 0.0)
+    s, t = jax.lax.stop_gradient((s, t))
     return f - s * df - t * history.df, History(f, r, df, dr, error, one)

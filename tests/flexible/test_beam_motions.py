@@ -12,6 +12,7 @@ import pytest
 
 import rbjax as rb
 from benchmarks.cases.beams import FLYING_LOAD, flying_beam
+from rbjax.motion.variational import VariationalMidpoint
 from tests.oracles import load
 
 ORACLES = load("beams")
@@ -83,28 +84,31 @@ def flight(model: rb.Model, h: float, steps: int, save_every: int, **given):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("EI", "tolerance"), [(500.0, 1e-3), (100.0, 1.5e-3)])
-def test_flying_beam(EI: float, tolerance: float) -> None:
-    """The loaded end after the step load, with 128 coordinates.
+@pytest.mark.parametrize("EI", [500.0, 100.0])
+def test_flying_beam(EI: float) -> None:
+    """The loaded end after the step load, with 259 coordinates.
 
-    The moment at the end sends jumps of the curvature through the beam, so the error falls with the
-    second power of the length of a beam: 32 beams have 4e-4 to 6e-4.
+    The moment at the end sends jumps of the curvature through the beam, which the length of a beam
+    resolves: 16 beams err by 1.3e-3, 32 by 2.8e-4, 64 by 5e-5. With 16, half the step changes 1e-5.
     """
-    h = 1.25e-3
-    model = flying_beam(EI, 16, {"k_z": 2, "e_x": 1, "g_y": 2})
+    h = 6.25e-4
+    model = flying_beam(EI, 32, {"k_z": 2, "e_x": 1, "g_y": 2})
     loaded, free = flight(model, h, round(5 / h), round(0.5 / h), integrator="dop853")
     q = jnp.concatenate([loaded.q, free.q[1:]])
     tips = compiled(jax.vmap(lambda q: rb.frame_pose(model, q, model.body_names[-1])[1]))(q)
-    for key, want in ORACLES["flying_beam_step_load"][f"EI_{EI:.0f}"].items():
+    for key, want in ORACLES["flying_beam_step_load_intrinsic"][f"EI_{EI:.0f}"].items():
         found = np.asarray(tips)[round(2 * float(key)), :2] - [6.0, 0.0]
-        np.testing.assert_allclose(found, want, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(found, want, rtol=0, atol=3e-4)
 
 
 @pytest.mark.slow
 def test_invariants_of_free_flight() -> None:
-    """Energy and momenta over 100,000 steps of the variational midpoint rule."""
+    """Energy and momenta over 100,000 steps of the variational midpoint rule.
+
+    The energy varies with the square of the step, within 2.2e-9 with steps of 0.1 ms.
+    """
     model = flying_beam(500.0, 1, {"k_z": 3, "e_x": 1, "g_y": 1})
-    _, path = flight(model, 1e-4, 100_000, 1000, integrator="variational_midpoint")
+    _, path = flight(model, 5e-5, 100_000, 1000, integrator="variational_midpoint")
     K = -jax.jacfwd(lambda q: rb.applied_forces(model, rb.State(q, 0 * q)))(path.q[0])
 
     @compiled
@@ -119,7 +123,22 @@ def test_invariants_of_free_flight() -> None:
     scale = np.maximum(1.0, np.abs(x[0]))
     trend = np.polyfit(np.linspace(0, 1, len(x)), x, 1)[0] / scale
     assert (np.abs(trend) < 1e-9).all(), trend
-    assert (np.ptp(x, 0) / scale < [4e-9, 1e-9, 1e-9, 1e-9]).all(), np.ptp(x, 0) / scale
+    assert (np.ptp(x, 0) / scale < 1e-9).all(), np.ptp(x, 0) / scale
+
+
+@pytest.mark.slow
+def test_variational_midpoint_of_a_bent_steel_rod() -> None:
+    """Bending in two planes couples to torsion, of 5.6e3 rad/s, with steps of 1 ms.
+
+    The iteration of the step has no such coupling in its matrix. Without acceleration it fails
+    within 30 steps.
+    """
+    steel = rb.flexible.circle(0.005, E=2.1e11, nu=0.3, density=7800.0)
+    rod = rb.flexible.beam(1.0, steel, {"k_x": 0, "k_y": 0, "k_z": 1})
+    model = rb.load('<mujoco><option gravity="0 0 0"/></mujoco>').with_beam("rod", rod)
+    state = rb.State(jnp.array([0.0, 0.5, 0.5, 0.0]), jnp.zeros(4))
+    path = rb.rollout(model, state, None, 1e-3, steps=50, integrator=VariationalMidpoint(10))
+    assert bool(path.ok)
 
 
 #: EI, GJ, mass per length, length, ratio of viscosity to stiffness
