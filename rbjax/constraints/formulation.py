@@ -39,7 +39,7 @@ from rbjax.constraints.methods.differential_algebraic import (
 from rbjax.constraints.methods.method import Factor, Method, Multipliers, Penalty
 from rbjax.constraints.methods.recursive import Recursive
 from rbjax.constraints.methods.soft import Compliant
-from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling
+from rbjax.constraints.rows import couplings, curve, functions, pairs, rolling, tendons
 from rbjax.constraints.rows.pairs import QuaternionWeld
 from rbjax.constraints.rows.row import Constraint
 from rbjax.constraints.rows.soft import Soft, is_soft
@@ -322,7 +322,7 @@ def kinds() -> dict[str, type[Constraint]]:
         >>> rb.constraints.kinds()["Weld"].size
         6
     """
-    rooms = pairs, couplings, curve, functions, rolling
+    rooms = pairs, couplings, curve, functions, rolling, tendons
     every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
     bases = Constraint, pairs.Pair, pairs.HalfAngle, rolling.Rolling
     found = {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}

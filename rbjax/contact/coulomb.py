@@ -66,7 +66,8 @@ class CoulombContact:
     long slides, and for friction of equal size in all directions. Pass it as `contact=` to `step`
     and `rollout`. `contact="coulomb"` has the default arguments. Contacts of condim 4 and 6 have
     the ellipsoid sum (f_k / mu_k)^2 <= f_n^2. Friction loss, limits and the parameters of the
-    normal direction are those of the file.
+    normal direction are those of the file. Other forces are those at the start of the step:
+    a joint with damping d and inertia m needs h d < 2 m.
 
     The memory contains the normal force and the bristle of each candidate, and at its end the error
     of the step: the relative change of the normal forces in the last iteration, or the error of

@@ -23,13 +23,15 @@ ENDS = GROUND, HAND
 
 @functools.cache
 def limb() -> rb.Model:
-    """A free body with a hinge, a hinge and a slide in turn."""
+    """A free body with a hinge, a hinge and a slide in turn, and a tendon."""
     return rb.load("""<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>
       <body name="base" pos="0 0 1"><freejoint/><geom size="0.1"/>
         <body name="arm" pos="0.2 0 0"><joint name="shoulder" axis="1 0 2"/><geom size="0.1"/>
           <body name="fore" pos="0.2 0 0.1"><joint name="elbow" axis="0 1 1"/><geom size="0.1"/>
             <body name="hand" pos="0.1 0.1 0"><joint name="slide" type="slide" axis="1 2 0"/>
-              <geom size="0.1"/></body></body></body></body></worldbody></mujoco>""")
+              <geom size="0.1"/></body></body></body></body></worldbody>
+      <tendon><fixed name="belt"><joint joint="shoulder" coef="0.7"/>
+        <joint joint="elbow" coef="-1.2"/></fixed></tendon></mujoco>""")
 
 
 def surface(x, numbers):
@@ -64,6 +66,7 @@ MADE = {
     "Distance": lambda: rc.Distance(*ENDS, 0.4),
     "QuaternionWeld": lambda: rc.QuaternionWeld(*ENDS, 1.5),
     "JointPolynomial": lambda: rc.JointPolynomial("elbow", "shoulder", [0.1, 0.5, 0.2, -0.3]),
+    "TendonPolynomial": lambda: rc.TendonPolynomial("belt", None, [0.1, 0.5]),
     "Gear": lambda: rc.Gear("elbow", "shoulder", -2.0),
     "Rack": lambda: rc.Rack("slide", "elbow", 0.2),
     "Prescribed": lambda: rc.Prescribed("elbow", swing),

@@ -184,6 +184,24 @@ def test_all_laws_balance_a_block(law: str) -> None:
     np.testing.assert_allclose(solved(tau).iterations, found.iterations)
 
 
+@pytest.mark.parametrize("law", ["coulomb", "impulse"])
+def test_damping_without_contact(law: str) -> None:
+    """A damped slide in the air: `law` has explicit damping, as semi-implicit Euler, and MuJoCo's
+    law has the implicit damping of the file's Euler, (m + h d) a = tau - d v."""
+    model = rb.load("""<mujoco><worldbody><geom type="plane" size="0 0 1" pos="0 0 -3"/><body>
+    <joint type="slide" axis="1 0 0" damping="2"/><geom size=".1" mass="3"/></body></worldbody>
+    </mujoco>""")
+    state, h = model.default_state().replace(v=jnp.array([1.0])), 0.01
+
+    def speed(contact: str, integrator: str | None = None) -> float:
+        after = rb.step(model, state, dt=h, contact=contact, integrator=integrator)
+        return float(after.v[0])
+
+    np.testing.assert_allclose(speed(law), 1 - h * 2 / 3, rtol=1e-14)
+    np.testing.assert_allclose(speed("mujoco", "semi_implicit_euler"), speed(law), rtol=1e-14)
+    np.testing.assert_allclose(speed("mujoco"), 1 - h * 2 / (3 + h * 2), rtol=1e-14)
+
+
 def test_a_law_with_numbers_and_a_step() -> None:
     """A ball that bounces: the impulse over a step is m (1 + e) w, in the force p / h."""
     ball = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 .1">

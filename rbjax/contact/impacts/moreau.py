@@ -60,7 +60,8 @@ class MoreauContact(Record):
 
     Limits and friction loss that `rb.load` takes as rows of the contact problem are in the same
     equations: a limit stops without rebound and without a margin, and friction loss holds or
-    brakes with |p| <= h floss.
+    brakes with |p| <= h floss. Other forces are those at the start of the step: a joint with
+    damping d and inertia m needs h d < 2 m.
 
     The memory (3 n + 1,) contains the impulses of the last step in N s, which start the next one,
     and at its end the residual in m/s: the largest violation of the laws. A step with a residual
