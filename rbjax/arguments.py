@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError, UnknownName, listed
 
 #: Whether a type checker takes an argument of type ArrayLike as converted: in the bodies of rbjax
 #: (`always_true` of mypy in pyproject.toml), and not in the code of a user.
@@ -222,6 +224,26 @@ def instance(where: str, name: str, value: Any, kind: Any, public: str) -> None:
     """
     if not isinstance(value, kind):
         raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
+
+
+def existing_file(where: str, path: str | os.PathLike[str]) -> Path:
+    """Check that a file exists, and return its path.
+
+    Raises:
+        InputError: no such file. The message lists the files of that suffix in the folder.
+    """
+    try:
+        path = Path(path)
+        exists = path.is_file()
+    except (OSError, TypeError, ValueError) as error:
+        text = f"{str(path)[:60]!r} ({type(error).__name__})"
+        raise InputError(f"{where}: path is {text}, expected the path of a file") from error
+    if not exists:
+        others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
+        raise InputError(
+            f"{where}: no file {path}; in {path.parent} there are: {listed(others, 8) or 'none'}"
+        )
+    return path
 
 
 def shown(value: Any) -> str:

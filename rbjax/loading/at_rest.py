@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.loading.checks import data_of
+from rbjax.loading.checks import check_finite_fields, data_of
 from rbjax.loading.mjcf.fields import (
     Bias,
     Dyn,
@@ -205,6 +205,7 @@ def at_rest(source: Any, q: Any = None) -> AtRest:
     q: the name of a keyframe, a mapping from hinges and slides to values, or an array (nq,).
     """
     m = compile_model(source, floating_base=None)
+    check_finite_fields(m)
     d = data_of(m)
     names = names_of(m, _OBJ.mjOBJ_JOINT, m.njnt)
     if isinstance(q, str):

@@ -49,7 +49,10 @@ def cast_leaf(x: np.ndarray) -> jax.Array:
 def check_finite_fields(m: mujoco.MjModel) -> None:
     """Raise if a number of a compiled model is not finite; MuJoCo only warns."""
     fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
-    fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"
+    fields += (
+        " geom_pos geom_quat geom_size jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping"
+    )
+    fields += " site_pos site_quat"
     fields += " actuator_gear actuator_gainprm actuator_biasprm key_qpos key_qvel key_ctrl"
     for name in fields.split():
         values = np.asarray(getattr(m, name))

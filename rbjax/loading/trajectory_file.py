@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import warnings
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
+from rbjax.arguments import existing_file, instance, real_array
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, RbjaxError
 from rbjax.loading.loader import load
@@ -124,13 +123,11 @@ def load_trajectory(path: str | Path) -> SavedTrajectory:
         >>> saved.model.joint_names, len(saved.trajectory)
         (('hinge',), 6)
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"load_trajectory: no such file: {path}")
+    path = existing_file("load_trajectory", path)
     try:
         with np.load(path, allow_pickle=False) as file:
             found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except Exception as error:  # a damaged archive may raise anything
         raise InputError(f"load_trajectory: {path} is not an .npz file of arrays") from error
     missing = {"ts", "q", "v", "mjcf", "source"} - found.keys()
     if missing:
@@ -138,21 +135,51 @@ def load_trajectory(path: str | Path) -> SavedTrajectory:
             f"load_trajectory: {path} has no {', '.join(sorted(missing))}, expected a file of "
             "rb.loading.save_trajectory"
         )
-    text, source = str(found["mjcf"]), str(found["source"])
+    text, source = (_text_of(path, name, found[name]) for name in ("mjcf", "source"))
     model = _quiet(text or source)
-    q = jnp.asarray(found["q"])
-    trajectory = Trajectory(
-        jnp.asarray(found["ts"]), q, jnp.asarray(found["v"]),
-        jnp.asarray(found.get("ok", np.isfinite(found["q"]).all((-2, -1)))),
-        x=jnp.asarray(found["x"]) if "x" in found else None,
-    )  # fmt: skip
-    if (q.shape[-1], trajectory.v.shape[-1]) != (model.nq, model.nv):
+    trajectory = _trajectory_of(path, found)
+    if (trajectory.q.shape[-1], trajectory.v.shape[-1]) != (model.nq, model.nv):
         raise InputError(
-            f"load_trajectory: {path} has q with {q.shape[-1]} entries, and its robot {model.nq}: "
-            "the robot's file has changed since then"
+            f"load_trajectory: {path} has q with {trajectory.q.shape[-1]} and v with "
+            f"{trajectory.v.shape[-1]} entries, and its robot {model.nq} and {model.nv}: the "
+            "robot's file has changed since then"
         )
     drawn = source if source and _size(source) == (model.nq, model.nv) else text
     return SavedTrajectory(model, trajectory, drawn)
+
+
+def _text_of(path: Path, name: str, x: np.ndarray) -> str:
+    if x.dtype.kind != "U" or x.ndim:
+        raise InputError(
+            f"load_trajectory: {name} of {path} has dtype {x.dtype} and shape {x.shape}, expected "
+            "one text"
+        )
+    return str(x)
+
+
+def _trajectory_of(path: Path, found: dict[str, np.ndarray]) -> Trajectory:
+    """Return the trajectory of the arrays of a file. `ok` is False if a state is not finite."""
+    where, x = f"load_trajectory: {path}", found.get("x")
+    ts = real_array(where, "ts", found["ts"], "times (T,)", ndim=1)
+    q, v = (real_array(where, name, found[name], finite=False) for name in ("q", "v"))
+    lead = q.shape[:-2]
+    ok = np.asarray(found.get("ok", np.ones(lead, bool)))
+    parts = {"q": q, "v": v} | ({} if x is None else {"x": real_array(where, "x", x, finite=False)})
+    for name, part in parts.items():
+        if part.ndim < 2 or part.ndim > 3 or part.shape[:-1] != (*lead, len(ts)):
+            raise InputError(
+                f"{where}: {name} has shape {part.shape}, expected ({len(ts)}, n), or "
+                f"(B, {len(ts)}, n) for a batch, as q and ts have it"
+            )
+        if ok.dtype != bool or ok.shape != lead:
+            raise InputError(
+                f"{where}: ok is {ok.dtype} of shape {ok.shape}, expected bool of shape {lead}"
+            )
+        ok = ok & np.isfinite(part).all((-2, -1))
+    if (np.diff(ts) < 0).any():
+        raise InputError(f"{where}: ts decreases, expected increasing times")
+    arrays = {name: jnp.asarray(part) for name, part in parts.items()}
+    return Trajectory(jnp.asarray(ts), arrays["q"], arrays["v"], jnp.asarray(ok), x=arrays.get("x"))
 
 
 def _text(model: Model) -> str:

@@ -29,6 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.model.record import Record, check_numbers, floats
 
@@ -108,6 +109,31 @@ class ModalBody(Record):
                     f"{len(self.mode_names)} modes and {len(self.frame_names)} frames"
                 )
             check_numbers(f"ModalBody({name}=...)", value, infinite=False)
+
+    def check_inertia(self, where: str) -> None:
+        """Raise InputError if the mass is not positive, or the kinetic energy at q = 0 is negative
+        for some velocities."""
+        mass, first, inertia, coupling, modal, by_modes = (
+            np.asarray(getattr(self, name), float)
+            for name in ("mass", "first_moment", "inertia", "coupling", "modal_mass",
+                         "first_moment1")
+        )  # fmt: skip
+        real_number(where, "the mass", mass, above=0.0)
+        c = np.cross(np.eye(3), first)
+        M = np.block([
+            [mass * np.eye(3), -c, by_modes],
+            [c, inertia, coupling],
+            [by_modes.T, coupling.T, modal],
+        ])  # fmt: skip
+        size = np.sqrt(np.abs(np.diag(M)))
+        size[size == 0] = 1.0
+        least = np.linalg.eigvalsh(M / size / size[:, None])[0]
+        if least < -1e-6:
+            raise InputError(
+                f"{where}: the inertia at q = 0 (mass, moments, modal masses) gives negative "
+                f"kinetic energy: the scaled mass matrix has the eigenvalue {least:.3g}, expected "
+                "at least zero; correct the numbers"
+            )
 
     def fields(self) -> dict[str, Any]:
         """Return all fields by name."""

@@ -20,10 +20,12 @@ The inertia J_i turns with its point. To first order in q its rotation adds
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import integer, shown
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
@@ -104,12 +106,15 @@ def inertia_invariants(
             f"inertia_invariants: got {len(U)} modes' points and {n} places; expected one row of "
             "each for each point"
         )
-    weight = masses if issparse(masses) else np.asarray(masses, float)
+    axes = (None,) if np.ndim(masses) == 1 else (None, None)
+    weight = masses if issparse(masses) else _array("masses", masses, axes)
     if weight.shape not in ((n,), (n, n)):
         raise InputError(
             f"inertia_invariants: masses have the shape {weight.shape}, expected ({n},) or "
             f"({n}, {n}), for {n} places"
         )
+    if weight.ndim == 1 and (weight < 0).any():
+        raise InputError(f"inertia_invariants: masses are {shown(weight)}, expected at least zero")
     V = (
         np.zeros((n, 3, m))
         if rotation_modes is None
@@ -189,7 +194,9 @@ def from_points(
     """
     U = _array("modes", modes, (None, 3, None))
     found = inertia_invariants(masses, places, U, rotation_modes, inertias, turn_inertias)
-    at = [int(k) for k in frames]
+    if isinstance(frames, str | Mapping) or not isinstance(frames, Iterable):
+        raise InputError(f"from_points: frames is {shown(frames)}, expected indices of points")
+    at = [integer("from_points", "frames", k) for k in frames]
     if any(not 0 <= k < len(U) for k in at) or len(set(at)) != len(at):
         raise InputError(
             f"from_points: frames are {list(frames)}, expected different indices from 0 to "

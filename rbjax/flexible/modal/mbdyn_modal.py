@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import existing_file
 from rbjax.display import displayed
 from rbjax.errors import InputError, UnknownName
 from rbjax.flexible.modal.body import ModalBody
@@ -86,9 +87,9 @@ def read_mbdyn_modal(
         >>> found.body.frequencies.round(12).tolist(), found.body.first_moment.tolist()
         ([2.0], [1.0, 0.0, 0.0])
     """
-    where = os.fspath(path)
-    with open(path, encoding="utf-8", errors="replace") as file:
-        records = _records(file.read(), where)
+    file = existing_file("read_mbdyn_modal", path)
+    where = str(file)
+    records = _records(file.read_text("utf-8", errors="replace"), where)
     header = _words(records, 1, where, None)
     if len(header) < 6:
         raise InputError(
@@ -117,6 +118,7 @@ def read_mbdyn_modal(
         damping=D,
         frames=(places[at], axes, U[at], V[at], None, chosen),
     )
+    body.check_inertia(where)
     return MBDynModal(body, q, v)
 
 

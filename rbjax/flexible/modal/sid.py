@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import existing_file
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
 
@@ -36,6 +37,8 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 FRAME_BLOCKS = ("origin", "phi", "psi", "AP", "sigma")
 BLOCKS = ("mdCM", "J", "Ct", "Cr", "Me", "Gr", "Ge", "Oe", "ksigma", "Ke", "De")
+#: largest size of a block, and number of modes
+LARGEST = 100_000
 _ENTRY = re.compile(r"m([01])\s*\(([\d\s,]+)\)\s*=\s*(\S+)", re.IGNORECASE)
 
 
@@ -50,7 +53,7 @@ def read_sid(path: str | os.PathLike[str]) -> ModalBody:
 
     Raises:
         InputError: a line is not valid, a block is incomplete or missing, or indices of first-order
-            terms contradict each other.
+            terms contradict each other; or an inertia that gives negative kinetic energy.
 
     Source: Wallrapp 1994; the files of FEMBS and of FEMBeam.
 
@@ -64,8 +67,10 @@ def read_sid(path: str | os.PathLike[str]) -> ModalBody:
         >>> float(read_sid(path).stiffness[0, 0])
         8.0
     """
-    with open(path, encoding="utf-8", errors="replace") as file:
-        return from_sid(_parse(file.read(), os.fspath(path)))
+    file = existing_file("read_sid", path)
+    body = from_sid(_parse(file.read_text("utf-8", errors="replace"), str(file)))
+    body.check_inertia(str(file))
+    return body
 
 
 def from_sid(sid: Any) -> ModalBody:
@@ -310,13 +315,15 @@ def _parse(text: str, where: str) -> SimpleNamespace:
             sid.frame.append(node)
         elif key == "end node":
             node = None
-        elif key in ("mass", "nelastq"):
-            setattr(sid.refmod, key, _number(value, where, number))
+        elif key == "mass":
+            sid.refmod.mass = _number(value, where, number)
+        elif key == "nelastq":
+            sid.refmod.nelastq = _integer(value, where, number)
         elif key.startswith("ielastq"):
             sid.refmod.ielastq.append(value)
     if sid.refmod.mass is None or sid.refmod.nelastq is None:
         raise InputError(f"{where}: there is no mass or nelastq in refmod; is it a SID file?")
-    m = int(sid.refmod.nelastq)
+    m = sid.refmod.nelastq
     swapped = _is_swapped([x for _, x in found], m, where)
     for owner, block in found:
         setattr(owner, block.name, block.arrays(m, swapped))
@@ -357,7 +364,7 @@ def _taylor(name: str, lines: Iterator[tuple[int, str]], where: str) -> _Taylor:
             return out
         entry = _ENTRY.fullmatch(line)
         if entry:
-            at = tuple(map(int, entry[2].split(",")))
+            at = tuple(_integer(k, where, number, 1) for k in entry[2].split(","))
             if len(at) != 2 + int(entry[1]):
                 raise InputError(
                     f"{where}, line {number}: got {line!r}, expected {2 + int(entry[1])} indices"
@@ -370,8 +377,17 @@ def _taylor(name: str, lines: Iterator[tuple[int, str]], where: str) -> _Taylor:
                 f"{where}, line {number}: got {line!r} in the block {name}, expected order, nrow, "
                 f"ncol, nq, nqn, structure, m0(i, j), m1(i, j, k) or 'end {name}'"
             )
-        out.sizes[key] = int(_number(value, where, number))
+        out.sizes[key] = _integer(value, where, number)
     raise InputError(f"{where}: the block {name} has no 'end {name}'")
+
+
+def _integer(text: str, where: str, line: int, least: int = 0) -> int:
+    x = _number(text, where, line)
+    if not least <= x <= LARGEST or x != int(x):
+        raise InputError(
+            f"{where}, line {line}: got {text!r}, expected an integer from {least} to {LARGEST}"
+        )
+    return int(x)
 
 
 def _number(text: str, where: str, line: int) -> float:

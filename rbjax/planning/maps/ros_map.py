@@ -115,6 +115,6 @@ def _image(where: str, path: Path) -> np.ndarray:
             image = opened.convert("L") if opened.mode in ("1", "P") else opened
             pixels = np.asarray(image, float)
             full = 65535.0 if image.mode.startswith("I") else 255.0
-    except OSError as error:
+    except (OSError, ValueError, SyntaxError) as error:  # as Pillow's readers raise them
         raise InputError(f"{where}: image: {error}; expected a PGM or PNG file") from error
     return (pixels.mean(-1) if pixels.ndim == 3 else pixels) / full

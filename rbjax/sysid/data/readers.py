@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbjax.arguments import choice, instance, real_number
-from rbjax.errors import InputError, RbjaxError, UnknownName, listed
+from rbjax.arguments import choice, existing_file, instance, real_number
+from rbjax.errors import InputError, RbjaxError, UnknownName
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.units import OF_SENSORS, TIME, in_si
 
@@ -89,7 +89,7 @@ def read_csv(
         >>> run["q"].t.tolist(), run["q"].values.ravel().round(2).tolist()
         ([0.0, 0.005], [1.57, 3.14])
     """
-    path = _file("read_csv", path)
+    path = existing_file("read_csv", path)
     wanted = _columns("read_csv", columns)
     choice("decimal mark", decimal, (".", ","))
     one = isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '\r\n"'
@@ -155,7 +155,7 @@ def read_npz(
         >>> run["q"].names, run.end
         (('hip', 'knee'), 0.49)
     """
-    path = _file("read_npz", path)
+    path = existing_file("read_npz", path)
     wanted = _columns("read_npz", columns)
     clocks = _clocks("read_npz", wanted, time, time_unit, rate)
     try:
@@ -274,22 +274,6 @@ def _clocks(
     return {c.time or time for c in wanted.values()}
 
 
-def _file(where: str, path: str | Path) -> Path:
-    """Check that a file exists, and return its path."""
-    try:
-        path = Path(path)
-        exists = path.is_file()
-    except (OSError, TypeError, ValueError) as error:
-        text = f"{str(path)[:60]!r} ({type(error).__name__})"
-        raise InputError(f"{where}: path is {text}, expected the path of a file") from error
-    if not exists:
-        others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
-        raise InputError(
-            f"{where}: no file {path}; in {path.parent} there are: {listed(others, 8) or 'none'}"
-        )
-    return path
-
-
 def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
     """Check an array of a file, and convert it to float."""
     if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
@@ -312,9 +296,11 @@ def _cells(
             delimiter = max(",;\t|", key=sample.count)
         if delimiter not in sample:
             delimiter = " "
-    parsed = csv.reader(
-        (x for _, x in lines), delimiter=delimiter, skipinitialspace=delimiter == " "
-    )
+    parsed = [
+        *csv.reader((x for _, x in lines), delimiter=delimiter, skipinitialspace=delimiter == " ")
+    ]
+    if len(parsed) < len(lines):
+        raise csv.Error(f"line {lines[len(parsed) - 1][0]} opens a quotation that does not end")
     return [(n, [x.strip() for x in row]) for (n, _), row in zip(lines, parsed, strict=True)]
 
 

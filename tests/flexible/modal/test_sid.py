@@ -300,6 +300,8 @@ def test_a_structure_of_another_program():
         (lambda t: t.replace("m0(1, 1)", "m0(9, 1)", 1), "index"),
         (lambda t: t.replace("new node = 0\n", ""), "outside of a node"),
         (lambda t: t[: t.index("\nKe\n")], "Ke is missing"),
+        (lambda t: t.replace("mass = ", "mass = -", 1), "the mass is -"),
+        (lambda t: t.replace("nelastq = ", "nelastq = 0.", 1), "expected an integer"),
     ],
 )
 def test_wrong_files_are_sentences(tmp_path, change, message):
