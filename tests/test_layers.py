@@ -11,6 +11,7 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
     "errors": "",
+    "status": "",
     "_jax_compat": "",
     "arguments": "errors",
     "optional": "errors",
@@ -43,9 +44,9 @@ FLOORS = {
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys(
     "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
-    "estimation loading",
+    "estimation loading status",
 )
-FLOORS |= {"control": "kinematics"}
+FLOORS |= {"control": "kinematics status"}
 FLOORS |= {"envs": "control wheeled flexible sysid"}  # tasks of all robots
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how

@@ -1,39 +1,22 @@
-"""Status values of `solve` and of linear matrix equations, and their texts."""
+"""Status values of `solve`, with advice, and of linear matrix equations, with their texts."""
 
 from __future__ import annotations
 
-import enum
 from typing import Any
 
 import equinox as eqx
 import jax
 
 from rbjax.errors import InputError
-
-
-class Status(enum.IntEnum):
-    """Final status of `solve`. The status of a `Solution` is an array of these integers."""
-
-    GOING = 0
-    CONVERGED = 1
-    BUDGET = 2
-    INFEASIBLE = 3
-    STUCK = 4
-    NOT_FINITE = 5
-    FINISHED = 6
-
+from rbjax.status import Status
 
 GOING, CONVERGED, BUDGET, INFEASIBLE, STUCK, NOT_FINITE, FINISHED = map(int, Status)
 
-SENTENCES = {
-    CONVERGED: "converged",
-    BUDGET: "budget spent: raise iterations, or start nearer",
-    INFEASIBLE: "infeasible: near this motion the constraints contradict each other",
-    STUCK: "stuck: no step lowers the cost; change the start, look for a kink in a cost, or use "
-    "double precision",
-    NOT_FINITE: "not finite: the cost or the dynamics of the first guess is nan or infinite",
-    FINISHED: "finished: the best samples cost the same, which does not show an optimum: "
-    "continue with ddp or sqp (guess=)",
+#: what to change, by status
+ADVICE = {
+    BUDGET: "raise iterations, or start nearer",
+    STUCK: "change the start, look for a kink in a cost, or use double precision",
+    FINISHED: "continue with ddp or sqp (guess=)",
 }
 
 

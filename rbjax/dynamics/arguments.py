@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import floating_array
+from rbjax.arguments import floating_array, instance
 from rbjax.errors import InputError
 from rbjax.joints import Flexible
 from rbjax.model import Frame, Model, State
@@ -58,10 +58,7 @@ def check_arrays(
     step = given.pop("dt", None)
     if stated:
         state = given.pop("state")
-        if not isinstance(state, State):
-            raise InputError(
-                f"{where}: state is {type(state).__name__}, expected rbjax.State(q, v)"
-            )
+        instance(where, "state", state, State, "rbjax.State(q, v)")
         given |= {"q": state.q, "v": state.v}
         if state.x is not None:
             given["x"] = state.x
@@ -92,8 +89,7 @@ def check_arrays(
 
 def check_model(where: str, model: Any, fix: str = "for a batch of models, use jax.vmap") -> None:
     """Raise `InputError` unless `model` is one model. `fix` is the advice for a batch of models."""
-    if not isinstance(model, Model):
-        raise InputError(f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)")
+    instance(where, "model", model, Model, "a Model (rbjax.load)")
     several = model.several()
     if several is not None:
         name, shape, axes = several

@@ -182,11 +182,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         [0.714, 1.143, 1.571]
     """
     instance("kalman_smoother", "space", space, StateSpace, SPACE)
-    if not isinstance(filtered, KalmanFiltered):
-        raise InputError(
-            f"kalman_smoother: filtered is {type(filtered).__name__}, expected the result of "
-            "kalman_filter"
-        )
+    instance("kalman_smoother", "filtered", filtered, KalmanFiltered, "the result of kalman_filter")
     n = filtered.covariance.shape[-1]
     zero = jnp.zeros(n, filtered.covariance.dtype)
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, Frame
@@ -125,11 +126,9 @@ def check_places(record: Any) -> None:
     """Raise InputError if the ends a and b of an element or a constraint are not places."""
     for end in ("a", "b"):
         got = getattr(record, end)
-        if not isinstance(got, Place):
-            raise InputError(
-                f"{type(record).__name__}: {end} is {type(got).__name__}, expected a Place or an "
-                "rb.Frame: rbjax.forces.Place.on(body=...), on(site=...) or on() for the world"
-            )
+        known = "Place.on(body=...), on(site=...) or on() for the world"
+        public = f"a Place or an rb.Frame: rbjax.forces.{known}"
+        instance(type(record).__name__, end, got, Place, public)
 
 
 def turn_z_to(axis: jax.Array) -> jax.Array:

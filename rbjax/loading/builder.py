@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.arguments import choice, real_array, real_number
+from rbjax.arguments import choice, instance, real_array, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.builder_arguments import (
     attributes,
@@ -201,8 +201,7 @@ class ModelBuilder:
             orientation: (4,) quaternion.
         """
         where = "ModelBuilder.attach"
-        if not isinstance(prefix, str):
-            raise InputError(f"{where}: prefix is {prefix!r}, expected a word")
+        instance(where, "prefix", prefix, str, "a word")
         placement = pose(where, position, orientation)
         other = _spec(source)
         floors = [x for x in other.worldbody.geoms if x.type == mujoco.mjtGeom.mjGEOM_PLANE]

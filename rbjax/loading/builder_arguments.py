@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.arguments import choice, flag, integer, real_array, real_number
+from rbjax.arguments import choice, flag, instance, integer, real_array, real_number
 from rbjax.errors import InputError
 
 #: attributes that cannot be negative
@@ -88,8 +88,7 @@ def of_type(where: str, name: str, value: Any, default: Any) -> Any:
     if isinstance(default, int):
         return integer(where, name, value, least=-(2**31), most=2**31 - 1)
     if isinstance(default, str):
-        if not isinstance(value, str):
-            raise InputError(f"{where}: {name} is {value!r}, expected a name")
+        instance(where, name, value, str, "a name")
         return value
     positive = name in NOT_NEGATIVE
     if not isinstance(default, np.ndarray):

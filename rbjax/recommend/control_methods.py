@@ -13,11 +13,12 @@ import numpy as np
 from rbjax.arguments import choice, instance, integer
 from rbjax.control import Problem, methods, solve
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.status import CONVERGED, SENTENCES
+from rbjax.control.status import CONVERGED
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.recommend.recommendation import Recommendation, fastest
+from rbjax.status import Status
 
 SAME = 1e-6  # relative tolerance within which costs are equal
 
@@ -35,7 +36,7 @@ class Trial(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        return self.status == SENTENCES[CONVERGED]
+        return self.status == Status.CONVERGED.text
 
 
 @displayed
@@ -132,7 +133,7 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
     ms = 1e3 * fastest(lambda: jax.block_until_ready(run(guesses[0]).cost))
     statuses = [one.status, *(run(g).status for g in guesses[1:])]
     failed = tuple(i for i, x in enumerate(statuses) if x != CONVERGED)
-    status = SENTENCES[int(one.status)].split(":")[0]
+    status = Status(int(one.status)).text.split(":")[0]
     cost = float(one.cost) if np.isfinite(one.cost) else np.inf
     return Trial(
         name, status, cost, int(one.iterations), ms, 1 - len(failed) / len(guesses), failed

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import real_array
+from rbjax.arguments import instance, real_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
 from rbjax.lanes import Lane, Vec3
@@ -72,11 +72,8 @@ class VolumeSensor(FrameSensor):
     volume: Volume = eqx.field(static=True, default=Volume("sphere", (0.005,)))
 
     def __check_init__(self) -> None:
-        if not isinstance(self.volume, Volume):
-            raise InputError(
-                f"{type(self).__name__}: volume is {self.volume!r}, expected a "
-                "rbjax.sensors.Volume(kind, size)"
-            )
+        public = "a rbjax.sensors.Volume(kind, size)"
+        instance(type(self).__name__, "volume", self.volume, Volume, public)
         if self.volume.kind not in KINDS:
             raise UnknownName("kind of a volume", self.volume.kind, KINDS)
         least = KINDS[self.volume.kind]

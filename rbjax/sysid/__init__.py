@@ -20,6 +20,7 @@ Packages: `data` (filters, units), `parameters` (log-Cholesky coordinates of ine
 `design` (excitation trajectories), `jobs` (TOML files).
 """
 
+from rbjax.status import Status
 from rbjax.sysid import data, design, parameters, statistics, torque
 from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Channel, Recording
@@ -37,12 +38,11 @@ from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared
 from rbjax.sysid.simulation.objective import Squares, squares
 from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Setup
 from rbjax.sysid.simulation.traces import Trace
-from rbjax.sysid.status import FitStatus
 
 __all__ = [
     "Basin", "Calibration", "Cause", "Channel", "Column", "Derived", "Diagnosis", "Finding",
-    "FitStatus", "FixedTotal", "Grid", "Identified", "Inertia", "ManyStarts", "MonteCarlo", "PD",
-    "Predicted", "Recording", "Setup", "Shared", "Split", "Squares", "Tilt", "Trace", "Unknown",
+    "FixedTotal", "Grid", "Identified", "Inertia", "ManyStarts", "MonteCarlo", "PD", "Predicted",
+    "Recording", "Setup", "Shared", "Split", "Squares", "Status", "Tilt", "Trace", "Unknown",
     "data", "design", "diagnose", "findings", "free_run", "identifiability", "identify",
     "many_starts", "monte_carlo", "parameters", "prediction_error", "read_csv", "read_npz",
     "report", "split", "squares", "statistics", "torque",

@@ -8,10 +8,10 @@ import pytest
 import rbjax as rb
 from benchmarks.cases import cube
 from rbjax.errors import InputError
+from rbjax.status import Status
 from rbjax.sysid import Channel, Recording, Unknown, identify
 from rbjax.sysid.estimators.least_squares import minimise_by_differences
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.status import FitStatus
 from tests.sysid.test_contact_cube import tossed
 
 
@@ -46,7 +46,7 @@ class Rough:
 @pytest.mark.parametrize("start", [[0.5, 20.0], [2.0, 5.0], [8.0, 1.0]])
 def test_a_rough_error_converges(start):
     found = minimise_by_differences(Rough(0.1), np.array(start), step=0.1)
-    assert found.status == FitStatus.CONVERGED
+    assert found.status == Status.CONVERGED
     np.testing.assert_allclose(found.x, Rough.best, rtol=0.03)  # to the ripples
 
 
@@ -59,7 +59,7 @@ class Cubic(Rough):
 
 def test_a_budget_is_a_status():
     found = minimise_by_differences(Cubic(0.1), np.array([0.5, 20.0]), step=0.1, max_evaluations=2)
-    assert found.status == FitStatus.BUDGET
+    assert found.status == Status.BUDGET
     assert found.evaluations <= 2 + 4  # the last steps, without a prior
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import rbjax as rb
 from rbjax.cli import app
-from rbjax.sysid import FitStatus, Grid, Inertia, Tilt
+from rbjax.sysid import Grid, Inertia, Status, Tilt
 from rbjax.sysid.jobs.example import CONFIGURATION, TRUTH, write_example
 from rbjax.sysid.jobs.job import Job, Results
 from rbjax.sysid.statistics import estimates
@@ -126,7 +126,7 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
     said = estimates(["mass"], np.array([0.7]), J, 0.01, dof=39)
     found = types.SimpleNamespace(
         values={"mass": 0.7}, guess={"mass": 0.5}, estimates=said, evaluations=100,
-        status=FitStatus.BUDGET, success=False,
+        status=Status.BUDGET, success=False,
     )  # fmt: skip
     diagnosis = types.SimpleNamespace(causes=["the sign of joint elbow"])
     files = {"report": tmp_path / "report.html"}

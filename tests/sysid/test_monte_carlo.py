@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, FitStatus, Identified, Recording, Unknown, identify, monte_carlo
+from rbjax.sysid import Channel, Identified, Recording, Status, Unknown, identify, monte_carlo
 
 
 @functools.cache
@@ -94,7 +94,7 @@ def test_repetitions_that_fail_are_counted(monkeypatch, ok, good) -> None:
 
     found = swung()
     verdict = dataclasses.replace(found.verdict, failed=() if good else ("R2",))
-    one = dataclasses.replace(found, status=FitStatus.of(ok), verdict=verdict)
+    one = dataclasses.replace(found, status=Status.of(ok), verdict=verdict)
     monkeypatch.setattr(repeated_fits, "fit_in_stages", lambda *x, **more: one)
     again = monte_carlo(found, 3)
     assert again.failed == 3 * (not ok) and again.good == 3 * good

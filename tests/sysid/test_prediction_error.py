@@ -286,9 +286,9 @@ class Thin(Normal):
     [
         (Normal(), 60, "converged"),
         (Slow(), 3, "not converged"),
-        (Uphill(), 60, "stalled: no step lowers the error"),
-        (Endless(), 60, "the motion or cost of the first guess is not finite"),
-        (Thin(), 60, "the first guess is at the border of its range"),
+        (Uphill(), 60, "stuck: no step lowers the cost"),
+        (Endless(), 60, "not finite"),
+        (Thin(), 60, "infeasible"),
     ],
 )
 def test_each_end_of_a_search(of, steps, said):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, FitStatus, Recording, Trace, Unknown, identify
+from rbjax.sysid import Channel, Recording, Status, Trace, Unknown, identify
 from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judge, without_outliers
 from rbjax.sysid.statistics import held_out
 from rbjax.sysid.statistics.residual_tests import explained, varies
@@ -28,7 +28,7 @@ def run_of(values, name="run", noise=None):
 def verdict(recorded, simulated=None, noise=None, **how):
     """That of a fit that has converged and leaves no colour."""
     seen = {"run": {"q": trace(recorded, simulated)}}
-    return judge(FitStatus.CONVERGED, seen, [run_of(recorded, noise=noise)], (), **how)
+    return judge(Status.CONVERGED, seen, [run_of(recorded, noise=noise)], (), **how)
 
 
 WAVE = np.sin(0.1 * np.arange(200))[:, None]
@@ -148,7 +148,7 @@ def test_too_few_samples_to_judge():
     assert not found.success and "10 samples, which are too few" in found.summary()
     # one recording is long enough
     seen = {"run": {"q": trace(WAVE)}, "b": {"q": trace(WAVE[:5])}}
-    both = judge(FitStatus.CONVERGED, seen, [run_of(WAVE), run_of(WAVE[:5], "b")], ())
+    both = judge(Status.CONVERGED, seen, [run_of(WAVE), run_of(WAVE[:5], "b")], ())
     assert both.success and both.r_squared["q"] == 1
 
 

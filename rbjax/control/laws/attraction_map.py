@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag, integer, real_number
+from rbjax.arguments import flag, instance, integer, real_number
 from rbjax.display import Display, field_rows, host, shape
 from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
@@ -133,10 +133,7 @@ def region_of_attraction(
     where = "region_of_attraction"
     check_model(where, model)
     check_takes(where, "policy", policy, "t", "state")
-    if not isinstance(equilibrium, State):
-        raise InputError(
-            f"{where}: equilibrium is {type(equilibrium).__name__}, expected an rb.State"
-        )
+    instance(where, "equilibrium", equilibrium, State, "an rb.State")
     real_number(where, "tolerance", tolerance, least=0.0, most=1e12, traced=True)
     dtype = equilibrium.q.dtype
     step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)

@@ -32,7 +32,7 @@ from rbjax.control.optimal.terms import (
     Term,
     Velocity,
 )
-from rbjax.control.status import Status
+from rbjax.status import Status
 
 __all__ = [
     "Acceleration", "Capsule", "CenterOfMass", "Clearance", "Configuration", "Constraint",

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.control.optimal.terms import Term
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
@@ -161,11 +162,8 @@ class Clearance(Term):
         self.margin = check_array("Clearance", "margin", margin, ())
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        if not isinstance(model, Model):
-            raise InputError(
-                f"Clearance: the model is {type(model).__name__}, expected an rb.Model; for other "
-                "systems give Constraint a function that calls obstacle.distance(point)"
-            )
+        public = "an rb.Model; for other systems give Constraint obstacle.distance(point)"
+        instance("Clearance", "the model", model, Model, public)
         poses = forward_kinematics(model, state.q)
         where = [model.body(name) for name in self.bodies]
         R = jnp.stack([poses.R[k] for k in where])

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance
 from rbjax.compiler import threads
 from rbjax.control.optimal.objective import (
     PENALTY,
@@ -47,11 +48,8 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrl: Any, parameters: A
     """Build the guess from the arguments of `solve`."""
     if guess is None:
         return Guess(states, None if ctrl is None else jnp.asarray(ctrl), parameters)
-    if not isinstance(guess, Solution):
-        raise InputError(
-            f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
-            "give arrays as states= and ctrl="
-        )
+    public = "the Solution of a similar problem; give arrays as states= and ctrl="
+    instance("solve", "guess", guess, Solution, public)
     given = {"states": states, "ctrl": ctrl, "parameters": parameters}
     twice = [name for name, x in given.items() if x is not None]
     if twice:

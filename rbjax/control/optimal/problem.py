@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, instance
 from rbjax.control.optimal.problem_table import problem_display
 from rbjax.control.optimal.system import Linearised, System, system_of
 from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
@@ -166,8 +166,7 @@ class Problem(Record):
                 )
         self.low, self.high, self.bounded = _bounds(self.system, bounds)
         self.integral = flag("Problem", "integral", integral)
-        if not isinstance(design, Design | None):
-            raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
+        instance("Problem", "design", design, Design | None, "a Design")
         self.design = design
         self.times = None if free_time is None else _times(free_time)
         finite = ": a finite time in s"

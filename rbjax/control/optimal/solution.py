@@ -11,10 +11,11 @@ import jax.numpy as jnp
 
 from rbjax.control.optimal.objective import PENALTY
 from rbjax.control.optimal.problem import Knot, Problem, take
-from rbjax.control.status import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
+from rbjax.control.status import ADVICE, BUDGET, CONVERGED, INFEASIBLE
 from rbjax.display import Display, field_rows, host, number, shape
 from rbjax.errors import InputError
 from rbjax.model.record import Record
+from rbjax.status import Status
 
 
 class StoppingRule(NamedTuple):
@@ -131,7 +132,7 @@ class Solution(Record):
         if jnp.ndim(self.status):
             raise InputError("summary: the solution is a batch, expected one; read `status`")
         status = int(self.status)
-        text = SENTENCES[status]
+        text = ": ".join([Status(status).text, *filter(None, [ADVICE.get(status)])])
         if status == CONVERGED and self.problem.system.touches and not jnp.any(self.ctrl):
             text += (
                 ", but no control acts. The cost has no derivative by a contact that the motion "
@@ -150,7 +151,7 @@ class Solution(Record):
         if status is not None and status.ndim:
             title += f", {int((status == CONVERGED).sum())} of {status.size} converged"
         elif status is not None and cost is not None:
-            how = SENTENCES.get(int(status), "not finished").partition(":")[0]
+            how = Status(int(status)).text.partition(":")[0]
             title += f", {how}, cost {number(cost)}"
         names = ["iterations", "ts", "states", "ctrl", "parameters", "gap", "violation", "K"]
         return Display(title, field_rows(self, names), picture=self._chart)

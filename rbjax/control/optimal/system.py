@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, instance
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -155,11 +155,7 @@ class Robot(System):
 
     def checked(self, where: str, state: Any) -> State:
         m = self.robot
-        if not isinstance(state, State):
-            raise InputError(
-                f"{where}: the state is {type(state).__name__}, expected rb.State(q ({m.nq},), "
-                f"v ({m.nv},))"
-            )
+        instance(where, "the state", state, State, f"rb.State(q ({m.nq},), v ({m.nv},))")
         q = jnp.asarray(state.q, float)
         x = m.start(q.dtype) if state.x is None else jnp.asarray(state.x, q.dtype)
         due = {"q": (q, m.nq), "v": (jnp.asarray(state.v, q.dtype), m.nv)}

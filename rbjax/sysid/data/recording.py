@@ -92,8 +92,7 @@ class Channel:
             raise InputError(
                 f"Channel: names are {names}, expected {columns} different ones, one a column"
             )
-        if not isinstance(unit, Iterable):
-            raise InputError(f"Channel: unit is {unit!r}, expected a unit, or one for each column")
+        instance("Channel", "unit", unit, Iterable, "a unit, or one for each column")
         units = [unit] * columns if isinstance(unit, str) else list(unit)
         factor = _one_a_column("unit", [in_si(u) for u in units], columns)
         signs = _one_a_column("sign", sign, columns)

@@ -15,6 +15,7 @@ from rbjax.arguments import choice, instance, real_array
 from rbjax.display import Display, displayed, number, plural
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.arguments import check_options, positive_numbers, recordings_of, setup_of
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.estimators.least_squares import minimise
@@ -29,7 +30,6 @@ from rbjax.sysid.statistics.fit_statistics import FitStatistics
 from rbjax.sysid.statistics.intervals import Estimates
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations
-from rbjax.sysid.status import FitStatus, HasStatus
 
 
 class Options(NamedTuple):
@@ -59,7 +59,7 @@ class Identified(HasStatus):
         recordings: fitted recordings.
         traces: recorded and simulated values.
         evaluations: number of evaluations of the residual.
-        status: a `FitStatus`.
+        status: a `Status`.
         grid: grid of the simulation.
         error: simulation error, in float64.
         noise_known: whether the noise of all channels is stated or estimated.
@@ -77,7 +77,7 @@ class Identified(HasStatus):
     recordings: tuple[Recording, ...]
     traces: Traces
     evaluations: int
-    status: FitStatus
+    status: Status
     grid: Grid
     error: SimulationError
     noise_known: bool

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rbjax.rank_tolerances import rank_tolerance
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.status import FitStatus, HasStatus
 
 #: weights of the prior in successive stages, relative to the largest curvature of |r|^2
 PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
@@ -88,7 +88,7 @@ class Minimum(HasStatus):
     triangle: np.ndarray
     cost: float
     evaluations: int
-    status: FitStatus
+    status: Status
 
 
 def minimise(
@@ -128,7 +128,7 @@ def minimise_by_differences(
         )  # fmt: skip
         evaluations += found.evaluations
         found = dataclasses.replace(found, evaluations=evaluations)
-        if found.status not in (FitStatus.CONVERGED, FitStatus.STUCK):
+        if found.status not in (Status.CONVERGED, Status.STUCK):
             return found
         near = [
             found.x + side * d
@@ -138,11 +138,11 @@ def minimise_by_differences(
         costs = [objective.cost(y) for y in near]
         evaluations += len(costs)
         if not min(costs) < found.cost:
-            return dataclasses.replace(found, evaluations=evaluations, status=FitStatus.CONVERGED)
+            return dataclasses.replace(found, evaluations=evaluations, status=Status.CONVERGED)
         x = near[int(np.argmin(costs))]
         options.pop("triangle", None)
         if evaluations >= max_evaluations:
-            return dataclasses.replace(found, evaluations=evaluations, status=FitStatus.BUDGET)
+            return dataclasses.replace(found, evaluations=evaluations, status=Status.BUDGET)
 
 
 class Request(NamedTuple):
@@ -193,11 +193,11 @@ def search(
     R = (yield Request(x, True)) if triangle is None else triangle
     ended, factor = False, metric_factor(D, x)
     if not _has_squares(R):
-        yield Minimum(x, R, np.inf, count, FitStatus.NOT_FINITE)
+        yield Minimum(x, R, np.inf, count, Status.NOT_FINITE)
         return
     now = float(R[:, -1] @ R[:, -1]) if tolerances.relative else (yield from cost(x))
     if not np.isfinite(now) or factor is None:
-        invalid = FitStatus.INFEASIBLE if np.isfinite(now) else FitStatus.NOT_FINITE
+        invalid = Status.INFEASIBLE if np.isfinite(now) else Status.NOT_FINITE
         yield Minimum(x, R, now, count, invalid)
         return
     damping = CALM
@@ -243,9 +243,9 @@ def search(
         x, now, R, factor = trial, after, slopes, root
         if hidden:
             break
-    status = FitStatus.STUCK if ended else FitStatus.BUDGET
+    status = Status.STUCK if ended else Status.BUDGET
     if _is_minimum(D, x, R, prior_weights[-1], now, tolerances):
-        status = FitStatus.CONVERGED
+        status = Status.CONVERGED
     yield Minimum(x, R, now, count, status)
 
 

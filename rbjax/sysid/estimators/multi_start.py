@@ -19,6 +19,7 @@ from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
+from rbjax.status import Status
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
@@ -30,7 +31,6 @@ from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import Programs, SimulationError, sum_of_squares
 from rbjax.sysid.statistics.precision import cast, in_double
-from rbjax.sysid.status import FitStatus
 
 #: prior weights of the first steps of all guesses, and of the later steps of the best guesses
 SHORT, LONG = (1e-4,), (1e-4, 1e-7)
@@ -88,7 +88,7 @@ class ManyStarts:
         return f"{text}; the next one has {self.basins[1].cost / first.cost:.3g} times its squares"
 
     @property
-    def status(self) -> FitStatus:
+    def status(self) -> Status:
         """The status of the best fit."""
         return self.best.status
 

@@ -26,6 +26,7 @@ from rbjax.errors import InputError
 from rbjax.estimation.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.model import Model
 from rbjax.progress import progress_line
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
@@ -40,7 +41,6 @@ from rbjax.sysid.statistics.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.statistics.intervals import Estimates
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations, combinations, project_out_others
-from rbjax.sysid.status import FitStatus, HasStatus
 
 #: weight of the prior relative to the largest curvature, except in the last steps
 PRIOR_WEIGHT = 1e-10
@@ -65,7 +65,7 @@ class Predicted(HasStatus):
         recordings: fitted recordings.
         log_likelihood: maximum of the log likelihood.
         evaluations: number of evaluations of the likelihood.
-        status: a `FitStatus`.
+        status: a `Status`.
         grid: grid of the filter.
         likelihood: the likelihood as a function of x.
         x: unknowns and logarithms of the noise levels at the maximum.
@@ -82,7 +82,7 @@ class Predicted(HasStatus):
     recordings: tuple[Recording, ...]
     log_likelihood: float
     evaluations: int
-    status: FitStatus
+    status: Status
     grid: Grid
     likelihood: Likelihood
     x: np.ndarray

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rbjax.sensors.columns import root_mean_square
+from rbjax.status import Status
 from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.simulation.runs import order_columns
 from rbjax.sysid.simulation.setup import Setup
 from rbjax.sysid.simulation.traces import FEW, Trace, Traces, residuals_of
 from rbjax.sysid.statistics.comparisons import EXPLAINED, NOISY
 from rbjax.sysid.statistics.residual_tests import explained, varies
-from rbjax.sysid.status import FitStatus
 
 #: residuals above this multiple of the roughness of the recordings are not noise
 ROUGH = 3.0
@@ -75,7 +75,7 @@ class Verdict:
 
 
 def judge(
-    status: FitStatus, seen: Traces, recordings: Sequence[Recording], coloured: Sequence[str], *,
+    status: Status, seen: Traces, recordings: Sequence[Recording], coloured: Sequence[str], *,
     robust: bool = False,
 ) -> Verdict:  # fmt: skip
     """Judge a fit by its convergence, R2, errors relative to the noise, and whiteness.
@@ -84,7 +84,7 @@ def judge(
     1.5 times the stated noise, and white residuals. `coloured` are the columns with residuals that
     are not white. With `robust`, outliers are ignored, but may be at most a fifth of the samples.
     """
-    failed = [] if status == FitStatus.CONVERGED else [f"the fit is {status.text}"]
+    failed = [] if status == Status.CONVERGED else [f"the fit is {status.text}"]
     seen, outliers = without_outliers(seen) if robust else (seen, {})
     for sensor, share in outliers.items():
         if share > MOST:

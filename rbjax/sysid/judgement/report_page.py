@@ -70,8 +70,7 @@ def report(
     if diagnosis is not None:
         fix = "Diagnosis: the result of `diagnose`"
         instance("report", "diagnosis", diagnosis, Diagnosis, fix)
-    if not isinstance(path, (str, Path)):
-        raise InputError(f"report: path is {type(path).__name__}, expected a str or a Path")
+    instance("report", "path", path, (str, Path), "a str or a Path")
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"report: path is {path}, but there is no folder {path.parent}; make it")

@@ -32,6 +32,7 @@ from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.arguments import positive_numbers
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
@@ -42,7 +43,6 @@ from rbjax.sysid.parameters.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.statistics.rank import Combinations
-from rbjax.sysid.status import FitStatus, HasStatus
 from rbjax.sysid.torque.regression import weighted
 from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, parameter_values
 from rbjax.sysid.torque.torque_equations import Regression, equations
@@ -74,7 +74,7 @@ class Consistent(HasStatus):
         combinations: base parameters.
         linear: weighted least squares from which the search starts.
         steps: number of evaluations.
-        status: a `FitStatus`.
+        status: a `Status`.
     """
 
     model: Model
@@ -87,7 +87,7 @@ class Consistent(HasStatus):
     combinations: Combinations
     linear: Regression
     steps: int
-    status: FitStatus
+    status: Status
 
     @property
     def errors(self) -> Array:
@@ -197,7 +197,7 @@ def consistent(
     return Consistent(
         _write_parameters(model, values, joint_terms), names, values, covariance, sd,
         eq.tau - eq.W @ values, divergence, eq.combinations, linear, int(found.nfev),
-        FitStatus.of(bool(found.status > 0)),
+        Status.of(bool(found.status > 0)),
     )  # fmt: skip
 
 

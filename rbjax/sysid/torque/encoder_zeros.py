@@ -22,8 +22,8 @@ import numpy as np
 from rbjax.arguments import integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.arguments import positive_numbers
-from rbjax.sysid.status import FitStatus, HasStatus
 from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.rows import TorqueRows
 from rbjax.sysid.torque.torque_equations import Regression
@@ -45,7 +45,7 @@ class WithZeros(HasStatus):
         noise: (nv,) standard deviation of the torques.
         squares: weighted sum of squares of the torque residuals.
         steps: number of linear regressions.
-        status: a `FitStatus`.
+        status: a `Status`.
     """
 
     regression: Regression
@@ -54,7 +54,7 @@ class WithZeros(HasStatus):
     noise: Array
     squares: float
     steps: int
-    status: FitStatus
+    status: Status
 
 
 def regress_with_zeros(
@@ -129,7 +129,7 @@ def regress_with_zeros(
     by_name = {r.name: z for r, z in zip(rows, zeros, strict=True)}
     squares = float(((off / sd) ** 2).sum())
     done = step >= LEAST and moved <= DONE
-    return WithZeros(found, parameters, by_name, sd, squares, step, FitStatus.of(done))
+    return WithZeros(found, parameters, by_name, sd, squares, step, Status.of(done))
 
 
 def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> tuple[Array, Array]:

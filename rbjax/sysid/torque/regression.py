@@ -28,9 +28,9 @@ import scipy.stats
 
 from rbjax.arguments import choice, integer
 from rbjax.errors import InputError
+from rbjax.status import Status
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.residual_tests import long_run_covariance
-from rbjax.sysid.status import FitStatus
 from rbjax.sysid.torque.torque_equations import (
     ROUNDING,
     Equations,
@@ -179,7 +179,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     found = Regression(
         eq.combinations, found.beta, spread * eq.fit(scale).covariance,
         size, found.residual, w, float(counted.sum() - found.beta.size), step,
-        FitStatus.of(done),
+        Status.of(done),
     )  # fmt: skip
     return with_statistics(eq, found, scale, psi, slope)
 
@@ -233,7 +233,7 @@ def instrumental(
         moved = (np.abs(beta - found.beta) / np.sqrt(covariance.diagonal())).max()
         found = Regression(
             eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof, step,
-            FitStatus.of(bool(moved < tolerance) or not callable(instruments)),
+            Status.of(bool(moved < tolerance) or not callable(instruments)),
         )  # fmt: skip
         if callable(instruments) and found.success:
             break

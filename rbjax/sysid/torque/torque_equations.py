@@ -21,9 +21,9 @@ import scipy.stats
 from rbjax.arguments import instance
 from rbjax.display import displayed
 from rbjax.errors import InputError
+from rbjax.status import HasStatus, Status
 from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
 from rbjax.sysid.statistics.rank import Combinations, combinations
-from rbjax.sysid.status import FitStatus, HasStatus
 
 Array = np.ndarray
 #: Noise below this multiple of the torque is rounding.
@@ -231,7 +231,7 @@ class Regression(HasStatus):
         dof: degrees of freedom of Student's t; inf if the noise is given and the residuals agree
             with it.
         steps: number of iterations.
-        status: a `FitStatus`.
+        status: a `Status`.
         white: whether the residuals of each channel are independent in time.
     """
 
@@ -243,7 +243,7 @@ class Regression(HasStatus):
     weights: Array
     dof: float
     steps: int = 1
-    status: FitStatus = FitStatus.CONVERGED
+    status: Status = Status.CONVERGED
     white: bool = True
 
     @property
