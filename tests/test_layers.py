@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -127,6 +128,11 @@ def test_imports_point_down():
         if not allowed(path, name)
     ]
     assert not found, "\n".join(["", *found])
+
+
+def test_a_folder_has_at_most_twenty_files():
+    folders = Counter(path.parent.relative_to(ROOT).as_posix() for path in FILES)
+    assert max(folders.values()) <= 20, folders.most_common(3)
 
 
 def test_a_file_is_one_idea():

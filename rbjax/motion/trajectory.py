@@ -16,6 +16,7 @@ from rbjax.display import Display, displayed, field_rows, host, shape, value_tex
 from rbjax.dynamics.arguments import shape_of
 from rbjax.errors import InputError
 from rbjax.model import State
+from rbjax.svg import curves
 
 #: trajectories of more numbers are not drawn in a notebook
 MOST_DRAWN = 1_000_000
@@ -92,8 +93,6 @@ class Trajectory(eqx.Module):
 
     def _chart(self) -> str:
         """Draw the coordinates of the first sample."""
-        from rbjax.svg import curves
-
         ts, q = host(self.ts), host(self.q, most=MOST_DRAWN)
         if ts is None or q is None or not q.size:
             return ""

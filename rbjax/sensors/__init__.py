@@ -1,5 +1,6 @@
 """Ideal sensors of a robot: functions from the state of motion to measured values."""
 
+from rbjax.contact.contact_forces import ContactForces
 from rbjax.forces.context import Context
 from rbjax.sensors.actuators import (
     ActuatorForce,
@@ -21,7 +22,6 @@ from rbjax.sensors.bodies import (
 )
 from rbjax.sensors.cameras import CameraProjection
 from rbjax.sensors.columns import Columns
-from rbjax.sensors.contact_forces import ContactForces
 from rbjax.sensors.contacts import ContactSensor
 from rbjax.sensors.frames import (
     AngularAcceleration,

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.reactions import body_reactions
+from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.registry import Law
 from rbjax.contact.rows.scalar_row import EQUALITY
 from rbjax.contact.solution import ContactSolution
@@ -25,8 +26,7 @@ from rbjax.lanes.arrays import unpack
 from rbjax.model import State
 from rbjax.motion.field import Field, dynamics_of, free_motion, gives_velocities
 from rbjax.motion.step import with_memory
-from rbjax.sensors.contact_forces import ContactForces, wrenches_of_contacts
-from rbjax.sensors.tendon_forces import wrenches_of_tendons
+from rbjax.sensors.body_forces import wrenches_of_contacts, wrenches_of_tendons
 from rbjax.spatial import Force
 
 

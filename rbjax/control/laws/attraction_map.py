@@ -22,6 +22,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
 from rbjax.motion.rollout import run_rollout
+from rbjax.svg import cells
 
 KEPT = 2**23  # maximum number of state entries in memory: 64 MiB in f64
 
@@ -54,8 +55,6 @@ class RegionMap(Record):
         return Display(title, field_rows(self), picture=self._picture)
 
     def _picture(self) -> str:
-        from rbjax.svg import cells
-
         back = host(self.back, most=MOST_CELLS)
         return "" if back is None or back.ndim != 2 else cells(back.T)
 

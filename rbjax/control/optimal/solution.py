@@ -16,6 +16,7 @@ from rbjax.display import Display, field_rows, host, number, shape
 from rbjax.errors import InputError
 from rbjax.model.record import Record
 from rbjax.status import Status
+from rbjax.svg import curves
 
 
 class StoppingRule(NamedTuple):
@@ -158,8 +159,6 @@ class Solution(Record):
 
     def _chart(self) -> str:
         """Draw the controls."""
-        from rbjax.svg import curves
-
         ts, ctrl = host(self.ts), host(self.ctrl)
         known = ts is not None and ctrl is not None and ts.ndim == 1 and shape(ctrl)[-1:] != (0,)
         return curves(ts[:-1], ctrl[:, :8], "ctrl") if known else ""  # type: ignore[index]

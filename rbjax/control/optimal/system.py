@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, instance
+from rbjax.arguments import flag, floating_array, instance
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -248,15 +248,8 @@ class Equations(System):
         return self.controls
 
     def checked(self, where: str, state: Any) -> jax.Array:
-        try:
-            x = jnp.asarray(state, float)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"{where}: the state is {type(state).__name__}, expected an array ({self.size},)"
-            ) from error
-        if x.shape != (self.size,):
-            raise InputError(f"{where}: the state has shape {x.shape}, expected ({self.size},)")
-        return x
+        due = (self.size,)
+        return floating_array(where, "the state", state, due.__eq__, str(due)).astype(float)
 
     def spans(self) -> list[slice]:
         return [slice(0, self.size)]

@@ -14,6 +14,7 @@ from rbjax.display import displayed
 from rbjax.envs.task_table import monitor_display
 from rbjax.optional import require
 from rbjax.progress import has_live_lines, progress_line
+from rbjax.style import STYLE
 
 
 @displayed
@@ -117,8 +118,6 @@ def learning_curve(rows: Sequence[Mapping[str, float]], path: Path, title: str =
     """
     matplotlib = require("learning_curve", "matplotlib")
     Figure = require("learning_curve", "matplotlib.figure").Figure
-    from rbjax.style import STYLE
-
     known = [row for row in rows if math.isfinite(row.get("reward", math.nan))]
     rewards = [row["reward"] for row in known]
     with matplotlib.rc_context(STYLE):

@@ -32,6 +32,7 @@ from rbjax.errors import InputError
 from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.planning.maps.ros_map import read
+from rbjax.svg import cells
 
 #: maps of more cells are not drawn in a notebook
 MOST_CELLS = 4_000_000
@@ -133,8 +134,6 @@ class OccupancyGrid(Record):
         return Display(title, field_rows(self), picture=self._picture)
 
     def _picture(self) -> str:
-        from rbjax.svg import cells
-
         known = host(self.occupied, most=MOST_CELLS)
         return "" if known is None or known.ndim != 2 else cells(known)
 

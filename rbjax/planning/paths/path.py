@@ -28,6 +28,7 @@ from rbjax.lanes import safe_sqrt
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.footprint import Footprint, check_map, disc_centers
 from rbjax.planning.maps.occupancy import DistanceField
+from rbjax.svg import polygons
 
 #: the largest number of parts of a step that `clear_along` accepts
 MOST_PARTS = 1_000_000
@@ -277,8 +278,6 @@ class Plan:
 
     def _picture(self) -> str:
         """Draw the path."""
-        from rbjax.svg import polygons
-
         start, steps = (
             host(getattr(self.path, "start", None)),
             host(getattr(self.path, "steps", None)),

@@ -24,6 +24,7 @@ from rbjax.arguments import choice, instance, real_number
 from rbjax.display import Display, array_text, host, plural, value_text
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
+from rbjax.svg import polygons
 from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.robot.arrangement import Arrangement, arrange
 from rbjax.wheeled.robot.motors import Motor, TorqueSource
@@ -302,8 +303,6 @@ class Robot(Record):
 
     def _picture(self) -> str:
         """Draw the wheels of the chassis from above."""
-        from rbjax.svg import polygons
-
         outlines = []
         for x in self.wheels:
             known = [host(v) for v in (x.position, x.heading, x.radius)]
