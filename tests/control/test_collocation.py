@@ -10,8 +10,8 @@ import pytest
 import rbjax as rb
 from benchmarks.cases.optimal_control import given
 from rbjax.control import Constraint, Control, Cost, Design, Equations, Problem, solve
-from rbjax.control.status import SENTENCES
 from rbjax.errors import InputError
+from rbjax.status import Status
 
 DOUBLE = Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
 ONE = [lambda t, x, u: 1.0]
@@ -254,7 +254,7 @@ def test_a_singular_hessian():
     flat = [lambda t, x, u: x[0] ** 2]  # nothing of u
     found = solve(Problem(DOUBLE, 4, 0.25, running=flat), jnp.ones(2), method="gauss_legendre_4")
     assert np.isfinite(found.cost) and np.isfinite(found.ctrl).all()
-    assert int(found.status) in SENTENCES
+    assert int(found.status) in set(Status) - {Status.GOING}
 
 
 def test_discrete_systems_are_refused():

@@ -79,8 +79,8 @@ class Wrong(Decay):
     [
         (Decay(0.05), [0.5, 2.0], 40, "converged"),
         (Decay(0.0), [2.0, 0.7], 40, "converged"),  # at the minimum, where nothing is left
-        (Wrong(0.05), [0.5, 2.0], 40, "stalled"),
-        (Wrong(0.0), [2.5, 0.7], 40, "stalled"),
+        (Wrong(0.05), [0.5, 2.0], 40, "stuck"),
+        (Wrong(0.0), [2.5, 0.7], 40, "stuck"),
         (Decay(0.05), [0.5, 2.0], 2, "not converged"),
         (Decay(0.05), [0.0, 2.0], 40, "border"),
         (Torn(0.0), [2.0, 0.4], 40, "not finite"),
