@@ -188,7 +188,8 @@ def _value(x: Any, width: int) -> str:
 
 
 def _joined(start: str, items: Iterable[str], end: str, count: int, width: int) -> str:
-    """Join items within `width` characters, then give their number."""
+    """Join items, as many as fit into `width` characters. If some do not fit, append their
+    number."""
     out: list[str] = []
     used = len(start) + len(end)
     for item in itertools.islice(items, width):
@@ -200,8 +201,8 @@ def _joined(start: str, items: Iterable[str], end: str, count: int, width: int) 
 
 
 def _call(x: Any, width: int, cut: bool = False) -> str:
-    """Format an object as `Name(field=value, ...)`. If it does not fit, return the fields that do
-    and `...` if `cut`, and otherwise nothing."""
+    """Format an object as `Name(field=value, ...)`. If the line is too long, return "", or with
+    `cut` the first fields and `...`."""
     parts: list[str] = []
     used = len(type(x).__name__) + 2
     for name, value in _fields(x):

@@ -76,7 +76,7 @@ def play(
 
 
 def _check(save: Path | None) -> None:
-    """Raise an error that does not depend on the motion before it is computed."""
+    """Check `save`, or that viser is installed, before the motion is computed."""
     from rbjax.plotting.animation import writable
     from rbjax.viewer.viewing import check_viser
 

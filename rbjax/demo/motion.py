@@ -36,7 +36,7 @@ def trot(t: jax.Array) -> jax.Array:
 
 
 def touching(scene: str, part: str = "foot") -> Model:
-    """Load a bundled robot of which geoms touch the floor. The geoms of the scene do not.
+    """Load a bundled robot of which only some geoms can touch the floor, and nothing else.
 
     part: a part of the names of the geoms that touch; "" for all.
     """

@@ -147,7 +147,8 @@ class ControlStep:
     def prepare(
         self, key: jax.Array, state: EnvState, action: jax.Array, params: Params
     ) -> tuple[EnvState, jax.Array]:
-        """Return the state after the events, with the action in its buffer, and the controls."""
+        """Run the events, and put the action into its delay buffer. Return the state and the
+        controls."""
         task = self.task
         params = self.with_drawn(params, state.drawn, constants=False)
         for i, e in enumerate(task.events):

@@ -18,8 +18,8 @@ class State(Record):
     x: (nx,) states of the force elements; None stands for their initial states, or for no states.
     memory: (m,) values that a dynamics keeps between steps (`VelocityDynamics`), or None.
     report: (2,) number of steps whose solver of contacts did not converge, and largest error of a
-        step, or None. A step adds to a report that it is given: begin a loop over `rb.step` with
-        zeros. `rollout` has its own.
+        step, or None. `rb.step` adds to a report if there is one: begin a loop with zeros.
+        `rollout` has its own.
     """
 
     q: jax.Array

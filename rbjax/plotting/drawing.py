@@ -252,7 +252,7 @@ def _even(length: float) -> float:
 
 
 def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
-    """Return the geoms of a file, else of the model, or a skeleton without a file and geoms.
+    """Return the geoms of a file, or else of the model; a skeleton if there are no geoms.
 
     The flexible links are those of the model.
     """

@@ -168,7 +168,7 @@ class TendonLimitSensor(TendonSensor):
     `limit_margin` of the limit."""
 
     def margin(self, context: Context) -> Lane:
-        """Return the distance before a limit at which it is near, m."""
+        """Return the distance from a limit, m, below which the sensor reads it."""
         own: Any = context.model.tendons
         return scalar(own.limit_margin[context.model.tendon(self.tendon)], context.q.dtype)
 

@@ -226,7 +226,7 @@ class BallAngularVelocity(OneJointSensor):
 class JointLimitSensor(OneJointSensor):
     """Base class of a sensor of the limit of a hinge, slide or ball.
 
-    margin: distance before a limit at which it is near, rad or m; static.
+    margin: distance from a limit, rad or m, below which the sensor reads it; static.
     """
 
     kinds = ("hinge", "slide", "ball")
@@ -273,7 +273,7 @@ class JointLimitPosition(JointLimitSensor):
 
 @register("jointlimitvel", placed=True)
 class JointLimitVelocity(JointLimitSensor):
-    """Measure the rate of the distance of a joint to its limit; zero if the limit is not near."""
+    """Measure the rate of the distance of a joint to its limit; zero outside of the margin."""
 
     units = ("rad/s", "m/s")
 

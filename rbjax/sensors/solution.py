@@ -33,10 +33,10 @@ from rbjax.spatial import Force
 class Solution:
     """The accelerations of a robot at an instant, and the forces of its constraints and contacts.
 
-    A contact law gives all of them by one solution. Those of a law of steps are of the step that
-    begins at the instant: the mean acceleration, and impulses divided by the step. Another dynamics
-    with contacts has a method `contact_forces(model, t, state, tau, f_ext)` that returns
-    `ContactForces`; without it no contact force acts.
+    A contact law computes all of them together. If the law computes steps, they belong to the step
+    that begins at the instant: the mean acceleration, and the impulses divided by the step. A
+    user's dynamics with contacts has a method `contact_forces(model, t, state, tau, f_ext)` that
+    returns `ContactForces`; without it no contact force acts.
     """
 
     def __init__(

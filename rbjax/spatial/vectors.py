@@ -255,5 +255,5 @@ class Transform:
         return inertia.rotated(self.R).shifted(self.p)
 
     def then(self, child: Transform) -> Transform:
-        """Compose poses: return the pose of a child of C in P, from its pose in C."""
+        """Compose transforms: return X_GP from X_CP (this one) and X_GC of a child G of C."""
         return Transform(self.R @ child.R, self.p + self.R @ child.p)

@@ -65,7 +65,7 @@ class Scene:
         return self.p.shape[1]
 
     def show(self, at: float, *, ghosts: bool = True) -> None:
-        """Show a time of the film in frames, between two frames too.
+        """Show the film at a time in frames; a fraction interpolates between two frames.
 
         ghosts: whether the ghosts move too.
         """

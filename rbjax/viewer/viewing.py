@@ -53,7 +53,7 @@ class Viewer:
         self.stop()
 
     def stop(self) -> None:
-        """End the server. Raises an error of its loop."""
+        """End the server. If its loop had failed, raise the error of the loop."""
         self._stopped.set()
         self._thread.join()
         self.server.stop()

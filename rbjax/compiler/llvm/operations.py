@@ -40,7 +40,7 @@ def literal(x: np.generic) -> str:
 
 
 def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
-    """Emit the broadcast of a scalar to every lane. made: emits an instruction."""
+    """Emit the broadcast of a scalar to every lane. made: function that emits an instruction."""
     many = f"<{lanes} x {t}>"
     one = made(f"insertelement {many} poison, {t} {x}, i64 0")
     return made(f"shufflevector {many} {one}, {many} poison, <{lanes} x i32> zeroinitializer")

@@ -147,7 +147,8 @@ accepts_delayed(*REDUCTIONS)
 
 
 def _unvmap(low: Lowering, eqn: Equation, ins: list) -> list:
-    """Reduce over a batch, which a thread does not have: only over the entries of one sample."""
+    """Lower a reduction over the batch to one over the entries of a sample: a thread has one
+    sample."""
     x, dtype, name = ins[0], eqn.outvars[0].aval.dtype, UNVMAP[eqn.primitive.name]
     if not x.size:
         return [np.asarray(name == "and", dtype)]

@@ -330,7 +330,8 @@ def _search(
 
 
 def _motion_if_stuck(problem: Problem, start: Any, found: SearchResult) -> SearchResult:
-    """Return a result, with the motion of its feedback if it is stuck and its states have gaps."""
+    """Return a result. If it is stuck with gaps between its states, roll out its feedback
+    instead."""
 
     def motion() -> SearchResult:
         run = threads(functools.partial(follow, problem))

@@ -90,8 +90,11 @@ def eliminate(
     I_A: ArticulatedInertia,
     block: Sequence[Column] = (),
 ) -> tuple[ArticulatedInertia, AnyFactor, Sequence[Column]]:
-    """Eliminate a dof. Return the articulated inertia that remains across it, its factor, and the
-    columns of the coordinates of a flexible link that remain."""
+    """Eliminate a dof.
+
+    Return the articulated inertia that remains across it, its factor, and the columns of those
+    coordinates of a flexible link that are not eliminated yet.
+    """
     if joint.frame_axes is not None:
         return I_A, FrameFactor(X, joint.frame_axes), columns_of_frame(joint.frame_axes, X, I_A)
     if joint.coordinate_of is not None:

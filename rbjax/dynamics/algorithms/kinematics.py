@@ -216,8 +216,11 @@ def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force
 
 
 def dof_axes(top: Topology, link: int, joint: JointMotion) -> list[tuple[int, Motion]]:
-    """Return the dofs that move a link relative to its parent, with their axes in its axes.
-    They are all coordinates of a flexible link at its frames, and none at its coordinates."""
+    """Return the dofs that move a link relative to its parent, with their axes S in its axes.
+
+    All coordinates of a flexible link move each of its frames. The dofs of the coordinates do not
+    move the base frame, so they have no dofs here.
+    """
     if joint.frame_axes is not None:
         return list(zip(top.links[link].v, joint.frame_axes, strict=True))
     return [] if joint.coordinate_of is not None else [(link, joint.S)]

@@ -94,8 +94,8 @@ class Driver(abc.ABC):
 
     @abc.abstractmethod
     def take(self, whole: Whole, index: Sequence[int], world: Any = None) -> Whole:
-        """Select values of links by index from a list, or columns, over all links; `world` for
-        index WORLD."""
+        """Select the values of the links `index` from a list, or columns, over all links. The value
+        of index WORLD is `world`."""
 
     @abc.abstractmethod
     def stack(self, whole: Whole, lanes: Callable, like: jax.Array) -> jax.Array:

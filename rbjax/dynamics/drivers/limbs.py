@@ -295,8 +295,8 @@ class Limbs(unrolled.ListDriver):
     def _inward_series(self, step: Step, zero: Any, xs: Parts, first: tuple | None = None) -> Parts:
         """Run an inward sweep over limbs in series, then over the trunk.
 
-        first: of `out_and_in`, the outward step, its outputs in the trunk, and its carries at the
-            starts of the limbs. The limbs compute their outputs again.
+        first: the outward step of `out_and_in`, its outputs in the trunk, and its carries at the
+            starts of the limbs. The outputs in the limbs are computed again.
         """
         group = self._groups[0]
         outward, trunk, starts = first or (None, [], ())

@@ -136,7 +136,7 @@ class ForceLaw(Record):
 
 
 class Actuator(Element):
-    """A force element of a transmission and a force law.
+    """A force element that consists of a transmission and a force law.
 
     ctrlrange: (n, 2) range of each control, infinite for none.
     forcerange: (2,) range of the force, infinite for none.

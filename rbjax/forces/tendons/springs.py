@@ -105,8 +105,8 @@ def _springs(context: Context) -> Iterator[tuple[int, list[Lane], list[Lane]]]:
 
 
 def _point_spring(model: Model, i: int) -> PointSpring | None:
-    """Return the spring of a tendon between two sites, or None if the tendon has another path. At
-    the length zero its force is smooth if the spring has no length."""
+    """Return the spring of a tendon between two sites, or None if the tendon has another path. If
+    its rest length is zero, its force is smooth at the length zero."""
     own: Any = model.tendons
     if [x.kind for x in own.paths[i]] != ["site", "site"]:
         return None

@@ -163,8 +163,8 @@ def cable_elements(m: mujoco.MjModel) -> list[Cable]:
 
 
 def switch_off_cables(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Change a compiled model so that `cable_elements` finds nothing, for comparisons with MuJoCo
-    4. Return the entries of a list of features that are switched off."""
+    """Change a compiled model so that `cable_elements` finds nothing, because MuJoCo 4 has no
+    elasticity of cables. Return the sentences about what is switched off."""
     names = [mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_TEXT, i) for i in range(m.ntext)]
     found = [i for i, name in enumerate(names) if TEXT in name]
     m.text_size[found] = 0

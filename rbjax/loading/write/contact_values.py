@@ -61,7 +61,10 @@ def _write_joint(
 
 
 def _write_rows(elements: Sequence[ET.Element], own: Any, old: Any, names: dict[str, str]) -> None:
-    """Write the rows of leaves that differ, as attributes of the elements."""
+    """Write the rows in which `own` and `old` differ, as attributes of their XML elements.
+
+    names: attribute -> name of the array.
+    """
     for key, name in names.items():
         for element, new, was in zip(elements, getattr(own, name), getattr(old, name), strict=True):
             if differs(new, was):

@@ -47,7 +47,8 @@ _levels: weakref.WeakKeyDictionary[Any, int] = weakref.WeakKeyDictionary()
 
 
 class UnfitError(Exception):
-    """Raised if a function does not run as it was read. `level` is the level to read it at next."""
+    """Raised if a function cannot run with the operands that were read. `level` is the next level
+    to try: at a higher level, more values are part of the key."""
 
     def __init__(self, site: Any, level: int) -> None:
         super().__init__(site, level)

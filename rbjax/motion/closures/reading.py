@@ -78,8 +78,9 @@ PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
 
 
 class Reader:
-    """Reads a function and the values that it refers to. `read` returns the key of a value and its
-    maker.
+    """Reads a function and the values that it refers to.
+
+    `read` returns the key of a value, and a function that makes the value from the operands.
 
     operands: the numbers read so far.
 
@@ -131,7 +132,8 @@ class Reader:
         return found
 
     def _operand(self, x: jax.Array, source: Any) -> tuple[Any, Maker]:
-        """Add x as an operand for `source`. Use the existing operand if the array is known."""
+        """Add x, the JAX array of `source`, to the operands, unless an operand of the same array
+        exists."""
         i, is_array = len(self.operands), not isinstance(source, (float, complex))
         if is_array and id(source) in self.places:
             i = self.places[id(source)][0]

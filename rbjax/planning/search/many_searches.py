@@ -31,7 +31,8 @@ LEAST, MOST = 512, 65536  # nodes expanded at once
 
 
 class _Problem(Record):
-    """Constants of q searches, with K headings, n controls and m discs of a motion."""
+    """The data of q searches: n controls, tabulated for K headings, with m discs that cover each
+    motion."""
 
     distances: DistanceField
     start: jax.Array  # (q, 3)

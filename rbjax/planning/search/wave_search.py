@@ -157,9 +157,9 @@ class WaveSearch:
         """Select the first free child of each cell. Return which children (m,) are known to be
         free, and the indices of the selected ones.
 
-        `cost` (m,) rises. `better` (m,) is whether it is lower than the cell's. The first pass
-        tests the motions of `tests` (m,); the second tests the rest, if their cells still have no
-        node of the same or lower cost.
+        `cost` (m,) is in ascending order. `better` (m,) is whether it is below the cost of the
+        cell. The first pass tests the motions of `tests` (m,); the second tests the rest, if their
+        cells still have no node of the same or lower cost.
         """
         free = np.zeros(len(cost), bool)
         kept = np.zeros(0, np.intp)

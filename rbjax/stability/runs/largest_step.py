@@ -125,7 +125,7 @@ def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> floa
 
 
 def _of_pair(solver: Any, A: np.ndarray) -> float:
-    """Return the first h at which more growth factors of the solver exceed 1 than modes grow.
+    """Return the smallest h at which the solver has more growth factors above 1 than growing modes.
 
     The modes are those of q' = v, v' = K q + D v. Factors are only counted, because at long steps
     they cannot be matched with modes.

@@ -136,7 +136,7 @@ def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _rates_and_matrix(model: Model, ctrl: Any) -> Callable[[State], tuple[jax.Array, jax.Array]]:
-    """Return `_both` as a function of the state.
+    """Return the function of a state that computes the rates and A.
 
     Link constants and the inverse weights of contacts are precomputed. Otherwise the program, of
     which the model is an argument, computes them from the model's leaves.

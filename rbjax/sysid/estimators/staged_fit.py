@@ -267,7 +267,7 @@ class StagedFit:
         return Fit(of, found, make_traces(self.setup, of, found.x, self.recordings))
 
     def _refit(self, of: SimulationError, x: np.ndarray) -> Fit:
-        """Fit again from x, with x also as the prior. x is the minimum of nearly the same error."""
+        """Fit again from x, the minimum of a slightly different error. x is also the prior."""
         return self._fit(of, x, prior=x, prior_weights=PRIOR_WEIGHTS[-1:])
 
     def _minimise(

@@ -44,7 +44,7 @@ class Results:
         found: the fit.
         verdict: verdict on the held-out recordings; None without held-out recordings.
         diagnosis: diagnosis of the recordings and the fit.
-        files: content -> path.
+        files: the written files, such as "report" -> path.
         notes: sentences on the files.
     """
 

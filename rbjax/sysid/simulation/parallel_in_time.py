@@ -37,7 +37,7 @@ Window = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 
 def count_windows(periods: int, samples: int) -> int:
-    """Choose the number of windows of a motion with `samples` samples in parallel.
+    """Choose into how many time windows to divide a motion, if `samples` motions run at once.
 
     It is 1 on a CPU, since a few samples use all cores.
     """

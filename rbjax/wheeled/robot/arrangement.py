@@ -46,7 +46,7 @@ class Arrangement:
     Fields:
         mobility: the number of free velocities.
         steerability: the number of independently steered rows.
-        leaders: the sources of the independent rows.
+        leaders: the wheels and steerings whose constraint rows are independent.
         trailing: the leading wheel of each trailer.
         support: 1, 2 or 3 if the wheels of the chassis are at a point, on a line or around an area.
     """

@@ -199,12 +199,12 @@ def decide(
 def renews(
     now: SearchState, cost: jax.Array, violation: jax.Array, satisfied: jax.Array
 ) -> jax.Array:
-    """Return whether a search at rest gets new multipliers, before it ends as stuck.
+    """Return whether a search at rest gets new multipliers instead of ending as stuck.
 
-    At rest the merit function falls no further than its rounding. New multipliers reduce the
-    violation, and so does a harder penalty, as long as rounding hides the violation c: penalty
-    c^2 / 2 is less. If the constraints are satisfied, a smaller penalty has the same optimum, and
-    its rounding hides less of the gradient.
+    A search is at rest if the merit function changes only by rounding. New multipliers help while
+    they reduce the violation c. A larger penalty helps while its term, penalty c^2 / 2, is smaller
+    than the rounding error of the cost. If the constraints are satisfied, a smaller penalty helps:
+    the optimum is the same, and the rounding error of the gradient is smaller.
     """
     hidden = 0.5 * now.penalty * violation * violation <= rounding(cost)
     hardest = jnp.where(hidden, PENALTY_MOST, HARDEST_AT_REST)
@@ -219,7 +219,7 @@ def _small(
     gradient.
 
     The gradient has to be small only if the control Hessians are regularised. With constraints, a
-    decrease below the error of the cost by rounded constraints is none.
+    decrease below `cost_noise` counts as zero.
 
     tolerance: relative to `share`, the scale of the cost.
     """
