@@ -82,7 +82,7 @@ def test_info_lists_what_is_left_out(tmp_path: Path) -> None:
 def test_validate_as_json() -> None:
     args = ("--json", "--states", "3", "--no-mjx", "--no-gradient")
     found = json.loads(run("validate", "pendulum", *args).stdout)
-    assert found["ok"] and found["states"] == 3
+    assert found["success"] and found["states"] == 3
     assert "within tolerance" in run("validate", "pendulum", *args[1:]).stdout
 
 

@@ -1,6 +1,7 @@
 """The recommended solver has the requested accuracy, and the sentence has the number."""
 
 import re
+import sys
 
 import diffrax
 import jax
@@ -79,6 +80,7 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
 def test_an_arm_falls(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tried with the driver that compiles fastest, run with the usual one; shown on a terminal."""
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     model = rb.load("arm7")
     state = model.default_state()
     r = rb.recommend.solver(model, state, 1e-5)

@@ -64,7 +64,8 @@ def _acceleration(model, q, v, ctrl):
 
 
 def _sense(model, q, v, ctrl):
-    kinds = (sensors.Accelerometer("tip"), sensors.ForceSensor("hand"), sensors.Attitude("tip"))
+    site, body = model.site_names[-1], model.body_names[-1]
+    kinds = (sensors.Accelerometer(site), sensors.ForceSensor(body), sensors.Attitude(site))
     model = model.replace(sensors=tuple(sensors.NamedSensor(f"{x}", x) for x in kinds))
     return rb.sense(model, rb.State(q, v), ctrl)
 

@@ -27,7 +27,7 @@ FILTERED = REDUNDANT.replace(
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_quietly(ARM)
+    return load_quietly(ARM, contacts=False)
 
 
 def test_redundant_actuators_share_by_the_pseudoinverse():

@@ -89,7 +89,7 @@ for module in pkgutil.walk_packages(rb.__path__, "rbjax."):
 model = rb.load("double_pendulum")
 state = rb.State(jnp.ones(2), jnp.zeros(2))
 run = rb.rollout(model, state, None, 0.01, steps=5)
-assert rb.validation.compare("pendulum", states=2, mjx=False, seconds=0.02, gradient=False).ok
+assert rb.validation.compare("pendulum", states=2, mjx=False, seconds=0.02, gradient=False).success
 rb.plotting.animate(model, run, {folder!r} + "/a.html", source="double_pendulum")
 print(rb.recommend.solver(model, state, 0.1).name)
 
