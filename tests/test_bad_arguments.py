@@ -162,7 +162,8 @@ GOOD: dict[str, Any] = {
     "q": np.array([0.1, 0.2]), "q0": np.array([0.1, 0.2]), "q1": np.array([0.3, 0.2]),
     "v": np.array([0.3, -0.1]), "a": np.ones(2), "dq": np.ones(2), "tau": np.ones(2),
     "wrenches": np.ones((2, 6)), "point": np.ones(3), "ctrl": np.ones(1), "state": STATE,
-    "dt": 0.01, "ts": [0.0, 0.02], "integrator": "rk4", "t": 0.0, "dynamics": field.free_motion, "source": "cart_pole",
+    "dt": 0.01, "ts": [0.0, 0.02], "integrator": "rk4", "t": 0.0, "dynamics": field.free_motion,
+    "source": "cart_pole",
 }  # fmt: skip
 QUATERNIONS = {"zero": np.zeros(4), "tiny": np.full(4, 1e-200), "endless": np.full(4, 1e200)}
 LEAVES = ("mass", "com", "inertia", "position", "orientation")
