@@ -57,9 +57,7 @@ def stale() -> list[str]:
 def pages(root: Path) -> dict[str, bytes]:
     """The data of the benchmarks, in the folder of the pages that link to it."""
     found = sorted((root / "benchmarks" / "results").glob("*.json"))
-    return {f"benchmarks/results/{path.name}": path.read_bytes() for path in found} | {
-        "benchmarks/results/published.json": (root / "benchmarks" / "published.json").read_bytes()
-    }
+    return {f"benchmarks/results/{path.name}": path.read_bytes() for path in found}
 
 
 def main() -> None:

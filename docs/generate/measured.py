@@ -12,9 +12,6 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
-PUBLISHED = (
-    "published"  # benchmarks/published.json: figures of other projects, each with its source
-)
 DEVICES = {
     "nvidia-h200": "NVIDIA H200", "nvidia-h100-80gb-hbm3": "NVIDIA H100",
     "amd-epyc": "AMD EPYC", "intel-r-xeon-r-processor": "Intel Xeon",
@@ -26,7 +23,7 @@ Row = dict[str, Any]
 @functools.cache
 def read(name: str) -> dict[str, Any]:
     """The contents of benchmarks/results/<name>.json: provenance and rows."""
-    path = (RESULTS.parent if name == PUBLISHED else RESULTS) / f"{name}.json"
+    path = RESULTS / f"{name}.json"
     if not path.exists():
         raise LookupError(
             f"benchmarks/results has no file {name}.json; it has {', '.join(names())}"

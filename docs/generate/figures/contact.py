@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from docs.generate import measured
 from docs.generate.figures.kinds import Figure, Number
 
-H100 = "nvidia-h100-80gb-hbm3"
+H200 = "nvidia-h200"
 CORE = "cpu-contact-intel-r-xeon-r-processor"
 MAP = "contact-map-amd-epyc"
 
@@ -13,14 +12,14 @@ MAP = "contact-map-amd-epyc"
 def _gpu() -> dict[str, Figure]:
     out: dict[str, Figure] = {}
     for robot in ("humanoid", "humanoid_feet", "go1", "g1"):
-        file = f"gpu-contact-{robot}-{H100}"
-        for part in ("rollout", "free"):
-            out[f"gpu.contact.{robot}.{part}"] = Number(
-                file, "M/s median", {"what": part}, digits=2 if part == "rollout" else 3
-            )
-    for robot in ("humanoid", "g1"):
-        where = {"engine": "MuJoCo Warp", "what": "contact", "robot": robot}
-        out[f"gpu.contact.{robot}.warp"] = Number(measured.PUBLISHED, "M/s", where, digits=2)
+        file = f"gpu-contact-{robot}-{H200}"
+        for part in ("rollout", "free", "mjx"):
+            where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
+            digits = 3 if part == "free" else 2
+            out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
+    for robot in ("humanoid", "humanoid_feet", "go1"):
+        file, where = f"gpu-warp-contact-{robot}-{H200}", {"what": "converged", "batch": 65536}
+        out[f"gpu.contact.{robot}.warp"] = Number(file, "M/s median", where, digits=2)
     return out
 
 

@@ -26,6 +26,13 @@ ALGORITHMS = (
     "energy",
     "regressor",
 )
+CONTACT_PARTS = (
+    "rollout",
+    "free",
+    "gradient, rollout",
+    "gradient, free",
+    "mjx, 4 Newton steps",
+)
 THREAD_FILES = tuple(f"gpu-threads-{robot}-nvidia-h200" for robot in ROBOTS)
 MJX_FILES = tuple(f"gpu-mjx-{robot}-nvidia-h200" for robot in ROBOTS)
 WHAT, ENGINE, ROBOT, BATCH = C("what", ""), C("engine"), C("robot"), C("batch")
@@ -105,7 +112,7 @@ TABLES = {
         (ROBOT,),
         "what",
         RATE,
-        order=("rollout", "free"),
+        order=CONTACT_PARTS,
     ),
     "warp contact": Table(
         ("gpu-warp-contact-*",),
@@ -126,7 +133,7 @@ TABLES = {
         (ROBOT,),
         "what",
         COMPILED,
-        order=("rollout", "free"),
+        order=CONTACT_PARTS,
         best=min,
     ),
     "cpu contact": Table(
