@@ -62,7 +62,7 @@ found = solve(drop.q, drop.v)
 normal = found.contacts.force[:, :, 0].sum(1)
 print("contacts at rest   ", int(found.contacts.exists[-1].sum()))
 print("normal force       ", float(normal[-1]), "N, weight", G, "N")
-print("most Newton steps  ", int(found.iterations.max()), " all converged:", found.converged.all())
+print("most Newton steps  ", int(found.iterations.max()), " all converged:", found.success.all())
 
 # %% [markdown]
 # ## Slide
@@ -170,7 +170,7 @@ feet = step(walk.q[1, :-1], walk.v[1, :-1], angles[1, ::5])
 weight = G * float(walker.bodies.mass.sum())
 held = float(feet.contacts.force[200:, :, 0].sum(1).mean())
 print("mean of the normal forces", round(held, 1), "N, weight", round(weight, 1), "N")
-print("all converged", bool(feet.converged.all()))
+print("all converged", bool(feet.success.all()))
 
 figure, axes = plt.subplots(1, 2, figsize=(12, 3.3), layout="constrained", width_ratios=[2, 1])
 strobe(walker, walk.q[1, 40::72], ax=axes[0], source=builder.spec, camera=Camera(-80, 10))

@@ -114,7 +114,7 @@ print("least clearance of car and trailer [m]:", np.round(least_clearance(path),
 # %%
 given = jax.vmap(outwards)(path.ts[:-1], rb.State(path.q[:-1], path.v[:-1]))
 controls = -given[::-1]
-rolling = wheeled.at(rig, "kinematical")
+rolling = wheeled.at(rig, "reduced")
 wheel = float(rig.wheels[0].radius)
 speeds = jnp.append(controls[:, 0] * wheel, 0.0)
 reference = rb.State(path.q[::-1], speeds[:, None])

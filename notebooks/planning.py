@@ -130,7 +130,7 @@ cells[40:46, :40] = True
 room = OccupancyGrid(cells, 0.05)
 shape = Footprint.rectangle(ahead=0.15, behind=0.15, width=0.5)
 way = plan(room, shape, [1.0, 0.8, 0.5], [4.0, 0.8, -0.5], drive="differential").path
-cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None), "kinematical")
+cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None), "reduced")
 limits = Limits(torque=0.4, speed=1.0, turn_rate=2.0)
 along = time_scaling(cart, way.split(0.02), limits)
 quick = refine(cart, way.split(0.1), limits, room.distance_field(), shape)

@@ -37,7 +37,7 @@ FRICTION, WHEELBASE, RADIUS_OF_WHEEL, REAR_LOAD = 0.9, 2.6, 0.3, 6200.0  # load 
 robot = wheeled.kinds()["bicycle"].make(wheelbase=WHEELBASE, radius=RADIUS_OF_WHEEL, lag=0.1)
 tyre = wheeled.Fiala(15.0, FRICTION, smooth_speed=0.5)
 car = wheeled.at(robot, "slipping", tyre=tyre)
-rolling = wheeled.at(robot, "kinematical")
+rolling = wheeled.at(robot, "reduced")
 
 # %% [markdown]
 # ## The track

@@ -64,7 +64,7 @@ due = np.array([
     (b * (right - left) / r - m * d * v * w) / (I + m * d**2 + 2 * J * b**2 / r**2),
 ])  # fmt: skip
 print("by hand            ", due)
-for fidelity in ("dynamical", "kinematical", "quasi_velocities"):
+for fidelity in ("dynamical", "reduced", "quasi_velocities"):
     print(f"{fidelity:19s}", equations(drive, fidelity, [v, w], [right, left]))
 
 # %% [markdown]
@@ -89,7 +89,7 @@ print(np.round(np.asarray(contact.forces), 3))
 # constant without torque. The cart shows that they are not.
 
 # %%
-carts = wheeled.at(drive, "kinematical")
+carts = wheeled.at(drive, "reduced")
 start = wheeled.start(carts, twist=[0.2, 0.0, 2.5])
 path = wheeled.rollout(carts, start, jnp.zeros((500, 2)), 0.01)
 figure, (one, two) = plt.subplots(1, 2, figsize=(10, 3.6), width_ratios=[3, 2])
@@ -137,7 +137,7 @@ momentum = M @ V
 coriolis = np.array([-V[2] * momentum[1], V[2] * momentum[0], 0.0])
 due = np.linalg.solve(M + J * A.T @ A / r**2, A.T @ torques / r - coriolis)
 print("by hand            ", due)
-for fidelity in ("dynamical", "kinematical", "quasi_velocities"):
+for fidelity in ("dynamical", "reduced", "quasi_velocities"):
     print(f"{fidelity:19s}", equations(omni, fidelity, V, torques))
 added = J * A.T @ A / r**2
 print("added by wheels    ", np.diag(added), "of", 1.5 * J / r**2, 3 * J * L**2 / r**2)
@@ -152,7 +152,7 @@ print("added by wheels    ", np.diag(added), "of", 1.5 * J / r**2, 3 * J * L**2 
 from rbjax.compiler import explain
 
 for name, robot in (("differential drive", drive), ("omnidirectional", omni)):
-    for fidelity in ("kinematical", "dynamical"):
+    for fidelity in ("reduced", "dynamical"):
         vehicle = wheeled.at(robot, fidelity)
         state = wheeled.start(vehicle)
 

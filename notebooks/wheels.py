@@ -40,7 +40,7 @@ for name, kind in wheeled.kinds().items():
 
 # %%
 robot = wheeled.kinds()["differential_drive"].make(com=[0.15, 0.0], caster=None)
-cart = wheeled.at(robot, "kinematical")
+cart = wheeled.at(robot, "reduced")
 path = wheeled.rollout(cart, wheeled.start(cart, twist=[0.5, 0.0, 2.5]), jnp.zeros((400, 2)), 0.01)
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), width_ratios=[2, 1])
 top_view(cart, path, ax=left, robots=6)
@@ -58,7 +58,7 @@ plt.show()
 
 # %%
 u = jnp.array([0.3, 0.1])
-for name in ("kinematical", "dynamical", "quasi_velocities", "constrained"):
+for name in ("reduced", "dynamical", "quasi_velocities", "constrained"):
     vehicle = wheeled.at(robot, name)
     rate = wheeled.rates(vehicle, wheeled.start(vehicle, twist=[0.5, 0.0, 2.5]), u)
     turning = rate.v[2] if vehicle.nv > 2 else rate.v[1]
@@ -138,7 +138,7 @@ for accuracy in (0.1, 0.02, 1e-4):
 
 
 def end(robot):
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     start = wheeled.start(vehicle, twist=[0.5, 0.0, 2.5])
     return wheeled.rollout(vehicle, start, jnp.zeros((100, 2)), 0.04).q[-1, 0]
 

@@ -333,7 +333,7 @@ def wrong_with(what: str, call: Callable, good: Callable) -> str | None:
         known = isinstance(error, (TypeError, ValueError)) and (ours or PYTHON in raised.filename)
         told = known or "simulate: integration failed" in str(error)
         return None if told and len(str(error)) > 30 else f"{type(error).__name__}: {error}"
-    if isinstance(got, rb.Trajectory) and not got.ok.all():
+    if isinstance(got, rb.Trajectory) and not got.success.all():
         return None  # it says so
     want = good()
     leaves, wanted = jax.tree.leaves(got), jax.tree.leaves(want)

@@ -98,7 +98,7 @@ def test_simulate_writes_files(tmp_path: Path) -> None:
     args = ("--seconds", "0.2", "--solver", "rk4", "--out", str(data), "--plot", str(picture))
     result = run("simulate", "pendulum", "--keyframe", "horizontal", *args, "--json")
     found = json.loads(result.stdout)
-    assert found["ok"] and np.load(data)["q"].shape == (found["states"], 1)
+    assert found["success"] and np.load(data)["q"].shape == (found["states"], 1)
     assert picture.read_bytes().startswith(b"\x89PNG")
     args = ("--seconds", "0.2", "--solver", "rk4", "--keyframe", "horizontal")
     assert "energy [" in run("simulate", "pendulum", *args).stdout

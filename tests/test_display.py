@@ -189,7 +189,7 @@ def test_wheeled_robots_list_their_wheels():
     found = lines(robot)
     assert found[0].startswith(f"Robot: {len(robot.wheels)} wheels, 1 body, 2 drives")
     assert len(found) == 2 + len(robot.wheels)
-    model = wheeled.at(robot, "kinematical")
+    model = wheeled.at(robot, "reduced")
     assert lines(model)[0].endswith(f"nq {model.nq}, nv {model.nv}, nx 0, nu 2")
     assert robot._repr_html_().count("<polygon") == 1 + len(robot.wheels)
     seen = []

@@ -2,7 +2,7 @@
 
 `python -m benchmarks.accuracy.wheel_contact [ROBOT ...] [--small] [--parts sweeps mjx laws]`
 
-A manoeuvre of 4 s is run with wheels that roll (`wheeled.at(robot, "kinematical")`, adaptive,
+A manoeuvre of 4 s is run with wheels that roll (`wheeled.at(robot, "reduced")`, adaptive,
 1e-12); as a file of `wheeled.write_mjcf` in MuJoCo C, with other friction, stiffness (1 / T^2 of
 solref), impratio and timestep; at some points in MJX; under rbjax's contact laws, with other shapes
 of wheels (the differential drive); and at our fidelity "slipping", with other

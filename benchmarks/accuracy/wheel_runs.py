@@ -85,11 +85,11 @@ def times() -> jax.Array:
 
 
 class Rolling:
-    """The fidelity "kinematical": the reference, and fixed steps."""
+    """The fidelity "reduced": the reference, and fixed steps."""
 
     def __init__(self, of: Manoeuvre):
         self.of = of
-        self.vehicle = wheeled.at(of.robot, "kinematical")
+        self.vehicle = wheeled.at(of.robot, "reduced")
         self.start = of.start(self.vehicle)
         self.path = self._solved(1e-12)
         self.bound = float(np.abs(self.path.q - self._solved(1e-10).q)[:, :3].max())
@@ -103,7 +103,7 @@ class Rolling:
         path = wheeled.simulate(
             self.vehicle, self.start, times(), lambda t, s: u(t, jnp), tolerance=tolerance
         )
-        assert path.ok
+        assert path.success
         return path
 
     def way(self) -> float:
@@ -161,7 +161,7 @@ class Slipping:
                 return wheeled.contacts(vehicle, rb.State(q, v), of.controls(t, jnp)).sliding
 
             slides = jax.lax.map(sliding, (times()[1:], path.q[1:], path.v[1:]))
-            return path.q, path.ok, slides
+            return path.q, path.success, slides
 
         self.run = run
 

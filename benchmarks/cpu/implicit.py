@@ -78,7 +78,7 @@ def row(robot: str, name: str) -> dict[str, Any]:
 
     def run(model, state, control=None):
         path = rb.simulate(model, state, ts, control, solver=solver, dt=DT, throw=False)
-        return path.q, path.v, path.ok
+        return path.q, path.v, path.success
 
     out: dict[str, Any] = {"robot": robot, "nv": model.nv, "solver": name}
     for which, options in (("", None), (", options", rb.compiler_options())):

@@ -14,9 +14,9 @@ from rbjax.compiler.jax.explain import explain
 STEPS, DT = 100, 0.005
 #: robot, fidelity, and the law of its tyres
 SCENES: dict[str, tuple[str, str, Any]] = {
-    "differential drive": ("differential_drive", "kinematical", None),
-    "omni-3": ("omni_3", "kinematical", None),
-    "car": ("car", "kinematical", None),
+    "differential drive": ("differential_drive", "reduced", None),
+    "omni-3": ("omni_3", "reduced", None),
+    "car": ("car", "reduced", None),
     "omni-3 with slip": ("omni_3", "slipping", wheeled.Fiala(20.0, 0.8)),
     "car on tyres": ("car", "slipping", wheeled.Fiala(20.0, 0.9)),
 }

@@ -80,7 +80,7 @@ def solved(bench: Bench, model: rb.Model, method: str, control: Callable) -> Cal
             model, state, jnp.array([0.0, bench.scene.seconds]), control, solver=MAKERS[method](),
             dt=dt, adjoint=diffrax.ForwardMode(), throw=False, max_steps=10_000_000,
         )  # fmt: skip
-        return tuple(jnp.where(path.ok, x[-1], jnp.nan) for x in (path.q, path.v))
+        return tuple(jnp.where(path.success, x[-1], jnp.nan) for x in (path.q, path.v))
 
     return run
 

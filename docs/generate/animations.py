@@ -70,7 +70,7 @@ def wheels(path: Path) -> None:
     import rbjax as rb
 
     robot = rb.wheeled.kinds()["car_trailer"].make(motor=rb.wheeled.SpeedServo(2000.0), lag=0.1)
-    model = rb.wheeled.at(robot, "kinematical")
+    model = rb.wheeled.at(robot, "reduced")
     s = jnp.linspace(0, 2 * jnp.pi, 400)
     x, y = 11.0 * jnp.sin(s), 5.5 * jnp.sin(2 * s)
     heading = jnp.unwrap(jnp.arctan2(11.0 * jnp.cos(2 * s), 11.0 * jnp.cos(s)))

@@ -135,7 +135,12 @@ def simulate(
             float(rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q))
             for q, v in ((path.q[0], path.v[0]), (path.q[-1], path.v[-1]))
         ]
-    found = {"seconds": seconds, "states": len(arrays["ts"]), "ok": bool(path.ok), "energy": energy}
+    found = {
+        "seconds": seconds,
+        "states": len(arrays["ts"]),
+        "success": bool(path.success),
+        "energy": energy,
+    }
     found |= {"q": arrays["q"][-1].tolist(), "v": arrays["v"][-1].tolist()}
     if as_json:
         print(json.dumps(found, indent=1))

@@ -69,7 +69,7 @@ def solve(
         ...     <freejoint/><geom type="sphere" size="0.1" mass="1"/></body></worldbody></mujoco>'''
         >>> model = rb.load(ball, contacts=True)
         >>> found = rb.contact.solve(model, model.default_state())
-        >>> bool(found.converged), int(found.contacts.exists.sum())
+        >>> bool(found.success), int(found.contacts.exists.sum())
         (True, 1)
     """
     given = inputs_at("contact.solve", model, Inputs(ctrl, tau, wrenches), t, state)

@@ -31,7 +31,7 @@ class ContactSolution(Record):
             ("coulomb"); of sweeps ("impulse").
         error: () the norm of the gradient relative to the norm of the forces; the relative change
             of the normal forces ("coulomb"); the residual in m/s ("impulse").
-        converged: () whether the error is at most the tolerance of the law.
+        success: () whether the error is at most the tolerance of the law.
         sources: kind of each row, with the part of the model that it belongs to; static.
     """
 
@@ -44,7 +44,7 @@ class ContactSolution(Record):
     rows: jax.Array
     iterations: jax.Array
     error: jax.Array
-    converged: jax.Array
+    success: jax.Array
     sources: tuple[tuple[str, str, int], ...] = eqx.field(static=True)
 
     @property
@@ -120,7 +120,7 @@ class SolutionArrays(NamedTuple):
             rows=self.rows,
             iterations=self.iterations.astype(jnp.int32),
             error=self.error,
-            converged=self.error <= tolerance,
+            success=self.error <= tolerance,
             sources=sources,
         )
 

@@ -64,7 +64,7 @@ def validate(
     return Section(
         "Validate: against MuJoCo C",
         text,
-        columns=("scene", *(f"{n} ({c[6:]})" for n, c in columns), "ok"),
+        columns=("scene", *(f"{n} ({c[6:]})" for n, c in columns), "passed"),
         rows=tuple(rows),
         note="Worst relative error against MuJoCo C in f64. Contacts, limits, friction loss and "
         "implicit damping are off on both sides. `rbjax validate FILE` adds MJX in f32 and f64.",

@@ -93,7 +93,7 @@ def save_trajectory(
                 "rb.viewer.view(model, trajectory) or rb.plotting.animate(model, trajectory, path)"
             )
     arrays: dict[str, Any] = {
-        name: np.asarray(getattr(trajectory, name)) for name in ("ts", "q", "v", "ok")
+        name: np.asarray(getattr(trajectory, name)) for name in ("ts", "q", "v", "success")
     }
     if trajectory.x is not None:
         arrays["x"] = np.asarray(trajectory.x)
@@ -158,12 +158,13 @@ def _text_of(path: Path, name: str, x: np.ndarray) -> str:
 
 
 def _trajectory_of(path: Path, found: dict[str, np.ndarray]) -> Trajectory:
-    """Return the trajectory of the arrays of a file. `ok` is False if a state is not finite."""
+    """Return the trajectory of the arrays of a file; no `success` if a state is not finite."""
     where, x = f"load_trajectory: {path}", found.get("x")
     ts = real_array(where, "ts", found["ts"], "times (T,)", ndim=1)
     q, v = (real_array(where, name, found[name], finite=False) for name in ("q", "v"))
     lead = q.shape[:-2]
-    ok = np.asarray(found.get("ok", np.ones(lead, bool)))
+    name = "success" if "success" in found else "ok"  # files of earlier versions have `ok`
+    success = np.asarray(found.get(name, np.ones(lead, bool)))
     parts = {"q": q, "v": v} | ({} if x is None else {"x": real_array(where, "x", x, finite=False)})
     for name, part in parts.items():
         if part.ndim < 2 or part.ndim > 3 or part.shape[:-1] != (*lead, len(ts)):
@@ -171,15 +172,17 @@ def _trajectory_of(path: Path, found: dict[str, np.ndarray]) -> Trajectory:
                 f"{where}: {name} has shape {part.shape}, expected ({len(ts)}, n), or "
                 f"(B, {len(ts)}, n) for a batch, as q and ts have it"
             )
-        if ok.dtype != bool or ok.shape != lead:
+        if success.dtype != bool or success.shape != lead:
             raise InputError(
-                f"{where}: ok is {ok.dtype} of shape {ok.shape}, expected bool of shape {lead}"
+                f"{where}: success is {success.dtype} of shape {success.shape}, expected bool of "
+                f"shape {lead}"
             )
-        ok = ok & np.isfinite(part).all((-2, -1))
+        success = success & np.isfinite(part).all((-2, -1))
     if (np.diff(ts) < 0).any():
         raise InputError(f"{where}: ts decreases, expected increasing times")
     arrays = {name: jnp.asarray(part) for name, part in parts.items()}
-    return Trajectory(jnp.asarray(ts), arrays["q"], arrays["v"], jnp.asarray(ok), x=arrays.get("x"))
+    q, v, x = arrays["q"], arrays["v"], arrays.get("x")
+    return Trajectory(jnp.asarray(ts), q, v, jnp.asarray(success), x=x)
 
 
 def _text(model: Model) -> str:

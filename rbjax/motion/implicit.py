@@ -144,7 +144,7 @@ def increment(model: Model, u: jax.Array) -> State:
 @dataclass(frozen=True)
 class ByStages:
     """Implicit Runge-Kutta integrator of `rollout` for formulations of index 2 and 3. A step that
-    does not converge is nan, and `Trajectory.ok` is False."""
+    does not converge is nan, and `Trajectory.success` is False."""
 
     formulation: DifferentialAlgebraic
     tableau: Tableau

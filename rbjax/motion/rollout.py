@@ -84,8 +84,8 @@ def rollout(
     iteration matrix. Its error is of the size of the error of the iteration.
 
     `rk4`, `tsit5`, `dopri8`, `dop853`: explicit Runge-Kutta methods on the manifold, of order 4, 5,
-    8, 8 with 4, 6, 13, 12 evaluations. They diverge, and `ok` is False, if a body turns by more
-    than about 3 rad in a step.
+    8, 8 with 4, 6, 13, 12 evaluations. If a body turns by more than about
+    3 rad in a step, they diverge, and `success` is False.
 
     Force elements read the step dt. Their states end each step within their ranges.
 
@@ -131,10 +131,10 @@ def rollout(
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, beginning with the initial state. q is
-        (T, nq), or (B, T, nq) for a batch. `ok`: whether all values are finite. `unconverged`: the
-        number of steps whose solver of contacts did not converge; `worst_error`: its largest
-        error. Outside traced code failures of both kinds warn: the number of samples, the first
-        failure, and a stable step.
+        (T, nq), or (B, T, nq) for a batch. `success`: whether all values are finite.
+        `unconverged`: the number of steps whose solver of contacts did not converge;
+        `worst_error`: its largest error. Outside traced code failures of both kinds warn: the
+        number of samples, the first failure, and a stable step.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, an unknown integrator, a
@@ -168,7 +168,7 @@ def rollout(
         model, state, ctrl, dt, tau, wrenches, integrator, dynamics, constraints, save_every,
         steps, kernel, memory,
     )  # fmt: skip
-    if not isinstance(path.ok, jax.core.Tracer):
+    if not isinstance(path.success, jax.core.Tracer):
         _warn_if_not_finite(model, path, step, dynamics)
         warn_if_unconverged("rollout", path, dynamics)
     if (path.q.shape[-2] - 1) * save_every > 1:
@@ -307,14 +307,15 @@ def _check_where(kernel: Any, memory: Any) -> None:
 
 def _warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, dynamics: Dynamics) -> None:
     """Warn of the number of samples that are not finite, of the first failure, and of the largest
-    stable step. `path.ok` must not be traced. Under `grad` the other arrays are, with values."""
-    if not path.ok.is_fully_addressable:  # another process holds a part of the batch
+    stable step. `path.success` must not be traced; under `grad` the other arrays are, with
+    values."""
+    if not path.success.is_fully_addressable:  # another process holds a part of the batch
         return
-    ok = np.atleast_1d(np.asarray(path.ok))
+    ok = np.atleast_1d(np.asarray(path.success))
     if ok.all():
         return
     model, path, dt = jax.lax.stop_gradient((model, path, dt))
-    batched = path.ok.ndim == 1
+    batched = path.success.ndim == 1
     states = [x if batched else x[None] for x in (path.q, path.v, path.x) if x is not None]
     bad = ~np.logical_and.reduce([np.isfinite(np.asarray(x)).all(-1) for x in states])
     at = int(bad.any(0).argmax())

@@ -105,11 +105,11 @@ def simulate(
         contact: law of contact between the geoms of the model, a name of `rbjax.contact.laws`; None
             for the law of the model (`load(contacts=True)`).
         progress: whether to show diffrax's progress meter.
-        throw: whether to raise if the solve fails; otherwise `result` and `ok` report it.
+        throw: whether to raise if the solve fails; otherwise `result` and `success` report it.
         max_steps: largest number of steps.
 
     Returns:
-        `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`; with
+        `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `success`; with
         MuJoCo's contacts `unconverged`, the number of steps whose solver of contacts did not
         converge, and `worst_error`, their largest error as a mean over a step. Outside traced code
         such steps warn. Solvers on Lie groups, splitting and second-order solvers do not report.

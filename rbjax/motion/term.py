@@ -3,8 +3,8 @@
     q' = the rate of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
     v' = dynamics(q, v, forces),   x' = the rates of force elements
 Only the direction of a quaternion has an effect, and its rate is linear in the quaternion. So an
-error of its length has no effect until it overflows, and `ok` is False then. Returned quaternions
-have unit length.
+error of its length has no effect until it overflows, and `success` is False then. Returned
+quaternions have unit length.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Trajectory(eqx.Module):
 
     ts: (T,) times, s.
     q, v: (T, nq) and (T, nv), or (B, T, nq) and (B, T, nv) for a batch.
-    ok: () or (B,), whether every value is finite.
+    success: () or (B,), whether every value is finite.
     result: result of the diffrax solver; None for `rollout`.
     stats: counts of steps.
     x: (T, nx) or (B, T, nx), states of force elements; None if no element has a state.
@@ -41,7 +41,7 @@ class Trajectory(eqx.Module):
     ts: jax.Array
     q: jax.Array
     v: jax.Array
-    ok: jax.Array
+    success: jax.Array
     result: Any = None
     stats: Any = None
     x: jax.Array | None = None
@@ -52,7 +52,7 @@ class Trajectory(eqx.Module):
     def unconverged(self) -> jax.Array:
         """The number () or (B,) of steps whose solver of contacts did not converge."""
         if self.report is None:
-            return jnp.zeros_like(self.ok, jnp.int32)
+            return jnp.zeros_like(self.success, jnp.int32)
         return self.report[..., -1, 0].astype(jnp.int32)
 
     @property
@@ -60,13 +60,14 @@ class Trajectory(eqx.Module):
         """The largest error () or (B,) of the solver of contacts in a step, in the units of its
         tolerance. `simulate` counts only steps that did not converge."""
         if self.report is None:
-            return jnp.zeros_like(self.ok, self.q.dtype)
+            return jnp.zeros_like(self.success, self.q.dtype)
         return self.report[..., -1, 1]
 
     def summary(self) -> str:
         """Return the outcome in a sentence: finite values, and convergence of the solver of
         contacts."""
-        ok, left = np.atleast_1d(np.asarray(self.ok)), np.atleast_1d(np.asarray(self.unconverged))
+        ok = np.atleast_1d(np.asarray(self.success))
+        left = np.atleast_1d(np.asarray(self.unconverged))
         few = f"{int((~ok).sum())} of {ok.size} motions have values that are not finite"
         out = f"{float(self.ts[-1] - self.ts[0]):.4g} s: {'finite' if ok.all() else few}"
         if self.report is None:
@@ -79,7 +80,7 @@ class Trajectory(eqx.Module):
         )
 
     def _display_(self) -> Display:
-        ts, ok, batch = host(self.ts), host(self.ok), shape(self.q)[:-2]
+        ts, ok, batch = host(self.ts), host(self.success), shape(self.q)[:-2]
         title = f"Trajectory{f' [batch {batch}]' if batch else ''}: "
         title += f"{(shape(self.ts) or ('?',))[-1]} states"
         if ts is not None and ts.ndim == 1:

@@ -63,9 +63,9 @@ class VariationalMidpoint:
 
     An evaluation costs a pass over the tree and a solve with existing factors, half as much as
     forward dynamics. A step has two further eliminations. The derivative is the derivative of the
-    evaluations with constant factors. Its error is of the size of the error of the iteration. A
-    step that does not converge is nan, and `Trajectory.ok` is False. A partly converged step has
-    order 2 but is symplectic only approximately: use more evaluations or shorter steps.
+    evaluations with constant factors. Its error is of the size of the error of the iteration. If a
+    step does not converge, it is nan, and `Trajectory.success` is False. A partly converged step
+    has order 2 but is symplectic only approximately: use more evaluations or shorter steps.
 
     evaluations: number of evaluations of the equations in a step, at least 2.
     """

@@ -64,7 +64,7 @@ def top_view(
         >>> import matplotlib.figure, jax.numpy as jnp
         >>> from rbjax import wheeled
         >>> from rbjax.plotting import top_view
-        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
+        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "reduced")
         >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((8, 2), 0.2), 0.1)
         >>> top_view(car, path, ax=matplotlib.figure.Figure().subplots()).get_xlabel()
         'x [m]'
@@ -138,7 +138,7 @@ def animate_top_view(
     Example:
         >>> import pathlib, tempfile, jax.numpy as jnp
         >>> from rbjax import plotting, wheeled
-        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
+        >>> car = wheeled.at(wheeled.kinds()["car"].make(), "reduced")
         >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((4, 2), 0.2), 0.1)
         >>> file = pathlib.Path(tempfile.mkdtemp()) / "car.gif"
         >>> plotting.animate_top_view(car, path, file, size=(200, 150)).name

@@ -70,7 +70,7 @@ class LawTrial(NamedTuple):
     unconverged: int  # the number of steps whose solver did not converge
     step_us: float  # microseconds of a step; of an adaptive solver, of the requested step
     cost: float  # microseconds per second of motion
-    ok: bool  # whether the measures are at most the accuracy
+    success: bool  # whether the measures are at most the accuracy
 
 
 @displayed
@@ -253,7 +253,7 @@ class _Runs:
             path = run()
         except RbjaxError:  # a law that does not support this robot
             return failed
-        if not bool(path.ok):
+        if not bool(path.success):
             return failed
         penetration, lift, travel = self.measures(path)
         creep = float(np.abs(travel - rigid).max())
@@ -266,14 +266,14 @@ class _Runs:
 def _recommended(runs: _Runs) -> LawRecommendation:
     runs.say("the reference")
     reference = runs.reference()
-    if not bool(reference.ok):
+    if not bool(reference.success):
         raise InputError(
             f"recommend: the motion with rigid contacts has values that are not finite at steps of "
             f"{runs.dt / FINER:.2g} s; give a smaller dt"
         )
     *_, rigid = runs.measures(reference)
     trials = [runs.trial(name, rigid) for name in (*laws(), COMPLIANT)]
-    good = [x for x in trials if x.ok]
+    good = [x for x in trials if x.success]
     if not good:
         known = [x for x in trials if math.isfinite(x.cost)]
         why = "; ".join(f"{x.name} {_fault(x)}" for x in known)
@@ -301,8 +301,8 @@ def _fault(trial: LawTrial) -> str:
 
 def _reason(best: LawTrial, trials: list[LawTrial], accuracy: float, rigid: np.ndarray) -> str:
     others = [x for x in trials if x is not best and math.isfinite(x.cost)]
-    lost = ", ".join(f"{x.name} {_fault(x)}" for x in others if not x.ok)
-    nearest = min((x for x in others if x.ok), key=lambda x: x.cost, default=None)
+    lost = ", ".join(f"{x.name} {_fault(x)}" for x in others if not x.success)
+    nearest = min((x for x in others if x.success), key=lambda x: x.cost, default=None)
     parts = ["no contact slips in this motion"] if not rigid.any() else []
     parts += [f"accuracy decides: {lost}"] if lost else []
     if nearest is not None:

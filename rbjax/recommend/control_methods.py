@@ -35,7 +35,7 @@ class Trial(NamedTuple):
     failed: tuple[int, ...]  # the indices of the first guesses from which it did not converge
 
     @property
-    def ok(self) -> bool:
+    def success(self) -> bool:
         return self.status == Status.CONVERGED.text
 
 
@@ -142,7 +142,7 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
 
 def _best(trials: Sequence[Trial]) -> Trial:
     """Choose the fastest method with the least cost. If none converges, choose the least cost."""
-    done = [t for t in trials if t.ok]
+    done = [t for t in trials if t.success]
     if not done:
         return min(trials, key=lambda t: t.objective)
     least = min(t.objective for t in done)
@@ -152,7 +152,7 @@ def _best(trials: Sequence[Trial]) -> Trial:
 
 def _reason(best: Trial, trials: Sequence[Trial], guesses: int) -> str:
     said = f"{best.name!r}: {best.status}"
-    if best.ok:
+    if best.success:
         said += (
             f" in {best.iterations} iterations and {best.cost:.3g} ms to a cost of "
             f"{best.objective:.6g}; it converges from {guesses - len(best.failed)} of {guesses} "

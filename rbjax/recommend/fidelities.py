@@ -114,7 +114,7 @@ def fidelity(
         >>> import rbjax as rb
         >>> from rbjax.wheeled import SpeedServo
         >>> make = rb.wheeled.kinds()["differential_drive"].make
-        >>> cart, rolls = make(caster=None, motor=SpeedServo(5.0)), ["kinematic", "kinematical"]
+        >>> cart, rolls = make(caster=None, motor=SpeedServo(5.0)), ["kinematic", "reduced"]
         >>> r = rb.recommend.fidelity(cart, [5.0, 5.2], 0.05, twist=[0.4, 0.0, 0.0], among=rolls)
         >>> r.name, r.error < 0.05
         ('kinematic', True)
@@ -210,11 +210,11 @@ def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> Fidel
     for i, (name, most) in enumerate(ends.items()):
         gap = run.deviation(paths[i], paths[i - 1]) if i else 0.0
         trials.append(trial(name, run.least[name], most, gap))
-    best = min((x for x in trials if x.ok), key=lambda x: x.cost)
+    best = min((x for x in trials if x.success), key=lambda x: x.cost)
     if isinstance(run.models[best.name], Rolling) or best.name in ON_REQUEST:
         least, most = run.least[best.name], ends[best.name]
         trials += [trial(name, least, most, best.gap) for name in equals]
-        best = min((best, *(x for x in trials[-len(equals) :] if x.ok)), key=lambda x: x.cost)
+        best = min((best, *(x for x in trials[-len(equals) :] if x.success)), key=lambda x: x.cost)
     model = run.models[best.name]
     needed, lifts = _contacts(run, names, paths)
     why = _reason(run, best, trials, names[0], why_not, needed, lifts)
@@ -254,7 +254,7 @@ def _reason(
 
 def _decided(best: Trial, trials: list[Trial], why_not: str, needed: Demand) -> str:
     order = list(fidelities())
-    failed = [x for x in trials if not x.ok and order.index(x.name) < order.index(best.name)]
+    failed = [x for x in trials if not x.success and order.index(x.name) < order.index(best.name)]
     if failed:
         other = max(failed, key=lambda x: order.index(x.name))
         what = "slip"

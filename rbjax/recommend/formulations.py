@@ -187,7 +187,7 @@ def _recommended(runs: ConstrainedRuns, horizon: float) -> FormulationRecommenda
     independent = PROXIMAL if rank.redundant else PROXIMAL + BY_RANK
     names = RESTORING if rank.singular else independent
     trials = [_trial(runs, name, truth) for name in names]
-    good = [x for x in trials if x.ok]
+    good = [x for x in trials if x.success]
     if not good:
         raise InputError(
             f"recommend: none of {', '.join(names)} keeps gap and error within "
@@ -235,7 +235,7 @@ def _decided(best: Trial, trials: list[Trial]) -> str:
     bare = next((x for x in trials if x.name == "multipliers"), best)
     if best.name in RESTORING and best.dt > bare.dt:
         needs = f"needs steps of {bare.dt:.2g} s"
-        if not bare.ok:
+        if not bare.success:
             needs = f"is off by {max(bare.gap, bare.error):.1e} with steps of {bare.dt:.2g} s"
         return f"drift decides: multipliers, which does not correct drift, {needs}"
     other = min((x for x in trials if x is not best), key=lambda x: x.cost)

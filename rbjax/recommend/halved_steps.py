@@ -31,7 +31,7 @@ class Trial(NamedTuple):
     #: converged motion from the converged motion of the next finer fidelity (`fidelity`)
     gap: float
     step_us: float  # the computing time of a step, microseconds
-    ok: bool  # whether error and gap are as requested
+    success: bool  # whether error and gap are as requested
 
     @property
     def cost(self) -> float:
@@ -137,7 +137,7 @@ class HalvedSteps(abc.ABC):
 def cost_decides(best: Any, trials: Iterable[Trial]) -> str:
     """Explain the choice by the costs of the best and the next candidate; empty if there is no
     other."""
-    others = [x for x in trials if x is not best and x.ok]
+    others = [x for x in trials if x is not best and x.success]
     if not others:
         return ""
     other = min(others, key=lambda x: x.cost)

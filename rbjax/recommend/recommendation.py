@@ -29,7 +29,7 @@ class Recommendation:
         name: the name of the choice, in the registry of its kind.
         cost: the cost of the choice, the lowest of all candidates that fulfil the request.
         candidates: a record of each measured candidate, with at least its `name`, its `cost`, and
-            `ok`, whether it fulfils the request.
+            `success`, whether it fulfils the request.
         reason: a sentence with the deciding number.
     """
 

@@ -56,7 +56,7 @@ class Trial(NamedTuple):
     dt: float  # the largest accurate step, s
     error: float  # at this step
     cost: float  # evaluations of forward dynamics per second of motion
-    ok: bool  # whether there is an accurate step
+    success: bool  # whether there is an accurate step
 
 
 @displayed
@@ -110,7 +110,7 @@ def _error(
         adjoint=diffrax.ForwardMode(),
     )  # fmt: skip
     gap = jax.vmap(lambda a, b: difference(model, a, b))(truth, path.q)
-    return jnp.where(path.ok, jnp.abs(gap).max(), jnp.inf)
+    return jnp.where(path.success, jnp.abs(gap).max(), jnp.inf)
 
 
 def _controls(ctrl: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
@@ -249,7 +249,7 @@ def _recommended(
     longer = horizon / trial
     tolerance = jnp.asarray(max(1e-13, 1e-4 * accuracy / longer**2))
     truth = _reference(model, state, ts, ctrl, method, tolerance)
-    if not bool(truth.ok):
+    if not bool(truth.success):
         raise InputError(
             f"recommend: the motion over {trial:.3g} s could not be followed by "
             f"{type(method).__name__} at tolerance {float(tolerance):.0e}; look at it with "

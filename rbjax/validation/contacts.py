@@ -115,7 +115,7 @@ def quantities(
             "constraint forces": found.constraint,
             "contact forces": jnp.where(of_pair[:, :, None], own.world_force, 0.0).sum(1),
             "one step": jnp.concatenate([after.q, after.v]),
-        }, (found.iterations, found.converged)
+        }, (found.iterations, found.success)
 
     model, q, v, ctrl = cast_floats((model, samples.q, samples.v, samples.ctrl), dtype)
     run = jax.jit(jax.vmap(one), compiler_options=quick())

@@ -9,11 +9,11 @@ from rbjax.arguments import choice, instance
 from rbjax.errors import UnknownName
 from rbjax.wheeled.models.constrained import Constrained
 from rbjax.wheeled.models.robot_model import RobotModel
-from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical, QuasiVelocities
+from rbjax.wheeled.models.rolling import Dynamical, Kinematic, QuasiVelocities, ReducedModel
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.robot.robot import Robot
 
-_FIDELITIES = (Kinematic, Kinematical, Dynamical, QuasiVelocities, Constrained, Slipping)
+_FIDELITIES = (Kinematic, ReducedModel, Dynamical, QuasiVelocities, Constrained, Slipping)
 
 
 def fidelities() -> dict[str, type[RobotModel]]:
@@ -44,7 +44,7 @@ def at(robot: Robot, fidelity: str, **options: Any) -> RobotModel:
 
     Example:
         >>> import rbjax as rb
-        >>> rb.wheeled.at(rb.wheeled.kinds()["omni_3"].make(), "kinematical").nv
+        >>> rb.wheeled.at(rb.wheeled.kinds()["omni_3"].make(), "reduced").nv
         3
     """
     public = 'a Robot, as rbjax.wheeled.kinds()["car"].make() gives it'

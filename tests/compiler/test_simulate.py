@@ -31,7 +31,7 @@ def simulation(scene: str, solver: diffrax.AbstractSolver | None = None, times: 
     def f(q, v):
         ts = jnp.linspace(0, 0.3, times)
         out = rb.simulate(model, rb.State(q, v), ts, solver=solver, throw=False)
-        return out.q, out.v, out.ok, out.stats["num_steps"], out.stats["num_rejected_steps"]
+        return out.q, out.v, out.success, out.stats["num_steps"], out.stats["num_rejected_steps"]
 
     state = jax.vmap(model.random_state)(jax.random.split(jax.random.key(0), 3))
     return f, state.q, state.v

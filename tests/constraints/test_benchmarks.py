@@ -158,7 +158,7 @@ def _drifts(steps: int) -> None:
     model = rb.load("four_bar")
     start = model.keyframe("turning")
     path = rb.rollout(model, start, None, 1e-3, steps=steps, save_every=steps // 10)
-    assert path.ok
+    assert path.success
     for i in range(11):
         off = rc.residual(model, path.state(i))
         assert max(np.abs(off.value).max(), np.abs(off.rate).max()) < 1e-12

@@ -160,7 +160,7 @@ def test_pendulum(name: str) -> None:
     if name == "ggl":
         model = model.with_constraints(*model.constraints, *model.constraints)
     path = rb.rollout(model, REST, None, SECONDS / n, steps=n, constraints=name)
-    assert path.ok
+    assert path.success
     r = rc.residual(model, path.state(-1))
     value, rate = float(np.abs(r.value).max()), float(np.abs(r.rate).max())
     if name != "ggl":
@@ -172,7 +172,7 @@ def test_pendulum(name: str) -> None:
     if name == "index_2":
         with pytest.warns(UserWarning, match="not finite"):
             wild = rb.rollout(model, REST, None, 3.0, steps=n, constraints=name)
-        assert not wild.ok
+        assert not wild.success
 
 
 def test_methods_that_do_not_fit() -> None:
@@ -328,7 +328,7 @@ def test_stiff_forces(name: str) -> None:
     for k, c in ((1e8, 0.0), (0.0, 1e8)):
         model = pendulum().with_forces(Pull(jnp.array(k), jnp.array(c)))
         path = rb.rollout(model, start, None, 0.01, steps=20, constraints=name)
-        assert path.ok
+        assert path.success
         np.testing.assert_allclose(path.q[-1], start.q, rtol=0, atol=2e-7)
         # along the circle, weight against c times the velocity
         creep = -9.81 * 0.6 / 0.64 / c * np.array([0.8, 0.6]) if c else np.zeros(2)
@@ -336,7 +336,7 @@ def test_stiff_forces(name: str) -> None:
         if name == "index_3":
             with pytest.warns(UserWarning, match="not finite"):
                 path = rb.rollout(model, start, None, 0.01, steps=200, integrator="rk4")
-            assert not path.ok
+            assert not path.success
 
 
 @pytest.mark.slow
@@ -344,10 +344,10 @@ def test_steps_that_are_not_solved() -> None:
     """A value, not an exception: a fixed step says so, adaptive ones become shorter."""
     model, ts = pendulum(), jnp.array([0.0, 3.0])
     path = rb.simulate(model, REST, ts, dt=3.0, constraints="ggl", throw=False)
-    assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
+    assert not path.success and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
     path = rb.simulate(model, REST, ts, dt=3.0, stepsize_controller=controller, constraints="ggl")
-    assert path.ok and path.stats["num_rejected_steps"] > 0
+    assert path.success and path.stats["num_rejected_steps"] > 0
 
 
 @pytest.mark.slow
@@ -387,7 +387,7 @@ def test_single_precision(name: str) -> None:
     want = rb.rollout(model, start, None, 0.01, steps=20, constraints=name)
     model, start = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (model, start))
     path = rb.rollout(model, start, None, 0.01, steps=20, constraints=name)
-    assert path.ok and path.q.dtype == jnp.float32
+    assert path.success and path.q.dtype == jnp.float32
     np.testing.assert_allclose(path.q, want.q, rtol=0, atol=2e-5)
     np.testing.assert_allclose(path.v, want.v, rtol=0, atol=2e-2 if name == "index_3" else 2e-4)
 

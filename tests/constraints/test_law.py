@@ -108,7 +108,7 @@ def test_a_user_s_constraint_and_the_default() -> None:
     model = rb.load("double_pendulum").with_constraints(Mirror())
     start = model.default_state().replace(q=jnp.array([0.5, -0.5]))
     path = rb.rollout(model, start, None, 1e-3, steps=200, integrator="rk4")
-    assert path.ok
+    assert path.success
     assert np.abs(path.q.sum(-1)).max() < 1e-15
     energy = rb.kinetic_energy(model, path.q[-1], path.v[-1]) + rb.potential_energy(
         model, path.q[-1]

@@ -34,7 +34,7 @@ def delivered(model: rb.Model, state: rb.State, r: FormulationRecommendation, ho
 
 def check(r: FormulationRecommendation, accuracy: float) -> None:
     """The cheapest of the good ones, with its numbers in the sentence."""
-    best = min((x for x in r.candidates if x.ok), key=lambda x: x.cost)
+    best = min((x for x in r.candidates if x.success), key=lambda x: x.cost)
     assert (r.name, r.dt, r.gap, r.error) == (best.name, best.dt, best.gap, best.error)
     assert r.formulation is rc.formulations()[r.name]
     assert max(r.gap, r.error) <= accuracy

@@ -99,7 +99,7 @@ def test_energy_stays(name: str) -> None:
     model, state, _ = moving(name)
     state = state.replace(v=0.3 * state.v)
     path = rb.rollout(model, state, None, 2.5e-4, steps=2000, save_every=200, integrator="rk4")
-    assert path.ok
+    assert path.success
     values = np.array([energy(model, path.state(i)) for i in range(11)])
     kinetic = max(rb.kinetic_energy(model, q, v) for q, v in zip(path.q, path.v, strict=True))
     assert np.abs(values - values[0]).max() < 1e-8 * kinetic

@@ -89,7 +89,7 @@ def test_f32_passes_flat_positions() -> None:
     """0.2 s through one, of starts whose steps fall anywhere on it."""
     starts = FLAT - np.array([0.4, 0.41, 0.42, 0.43, 0.44, 1e-3, 0.0])
     path, off = rolled(1, jnp.float32, "rk4", 0.2, starts)
-    assert path.ok.all() and path.q[:, -1, 0].min() > FLAT + 0.4
+    assert path.success.all() and path.q[:, -1, 0].min() > FLAT + 0.4
     assert off.max() < 1e-2  # of 20 J; damped against the row itself: 7 and more
 
 
@@ -103,7 +103,7 @@ def test_f32_keeps_energy_through_many_flat_positions(integrator: str, n: int, m
     """10 s, some fifteen passages, 20 J and 36 J. What semi-implicit Euler loses it loses in f64,
     too, by the length of its steps."""
     path, off = rolled(n, jnp.float32, integrator, 10.0, STARTS)
-    assert path.ok.all() and off.max() < most
+    assert path.success.all() and off.max() < most
     assert np.abs(path.q[..., 0] - path.q[..., -1]).max() < 5e-4  # one branch from end to end
     if integrator == "semi_implicit_euler":
         _, own = rolled(n, jnp.float64, integrator, 10.0, STARTS)
@@ -132,7 +132,7 @@ def test_adaptive_steps_pass_flat_positions(solver, tolerance: float, most: floa
         )  # fmt: skip
 
     path = jax.jit(jax.vmap(run))(begun)
-    assert path.ok.all()
+    assert path.success.all()
     want = [expected(2, jax.tree.map(lambda x, i=i: x[i], begun), 2.0) for i in range(49)]
     off = np.abs(path.q[:, -1, 0] - np.array(want))
     # from a flat position the acceleration across the branch is not known to the first stage
@@ -232,7 +232,7 @@ def test_an_implicit_step_passes_a_flat_position() -> None:
     model, _ = four_bars(1)
     start = at(1, FLAT - 0.03)
     path = rb.rollout(model, start, None, 0.01, steps=1, constraints="index_3")
-    assert path.ok
+    assert path.success
     bars = path.q[-1] * jnp.array([1.0, -1.0, 1.0])
     np.testing.assert_allclose(bars, expected(1, start, 0.01), atol=1e-10)
 
@@ -243,7 +243,7 @@ def test_an_implicit_step_passes_a_flat_position() -> None:
 def test_implicit_steps_keep_energy_through_many_flat_positions(name: str, twice: bool) -> None:
     """10 s of Radau IIA, some fifteen passages, 20 J; with rows that say the same twice."""
     path, off = rolled(1, jnp.float64, None, 10.0, STARTS, 0.01, name, twice)
-    assert path.ok.all() and off.max() < 5e-8
+    assert path.success.all() and off.max() < 5e-8
     assert np.abs(path.q[..., 0] - path.q[..., -1]).max() < 1e-7
 
 
@@ -257,14 +257,14 @@ def test_stages_at_a_flat_position(name: str, stage: int) -> None:
     starts = np.array([expected(1, at(1, FLAT + x), -(9 + c) * 0.01) for x in apart])
     path, off = rolled(1, jnp.float64, None, 0.2, starts, 0.01, name)
     # index 3: where a row is neither held nor free, rounding decides whether a step is solved
-    assert path.ok.sum() >= len(apart) - (name == "index_3")
-    assert off[np.asarray(path.ok)].max() < 1e-9
+    assert path.success.sum() >= len(apart) - (name == "index_3")
+    assert off[np.asarray(path.success)].max() < 1e-9
 
 
 @pytest.mark.slow
 def test_ggl_in_f32() -> None:
     path, off = rolled(1, jnp.float32, None, 10.0, STARTS, 0.01, "ggl")
-    assert path.ok.all() and off.max() < 5e-2
+    assert path.success.all() and off.max() < 5e-2
 
 
 @pytest.mark.slow
@@ -292,4 +292,4 @@ def test_derivatives_of_implicit_steps_across_a_flat_position(name: str) -> None
 def test_formulations_on_arrays_keep_energy(formulation: rc.Formulation, dtype, most) -> None:
     """As the first test of 10 s."""
     path, off = rolled(1, dtype, "rk4", 10.0, STARTS, constraints=formulation)
-    assert path.ok.all() and off.max() < most
+    assert path.success.all() and off.max() < most

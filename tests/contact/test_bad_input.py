@@ -72,7 +72,7 @@ def test_a_robot_without_contacts() -> None:
     state = model.default_state().replace(q=[0.3])
     for law in ("mujoco", "coulomb"):
         found = contact.solve(model, state, contact=law)
-        assert found.converged and found.contacts.force.shape == (0, 6)
+        assert found.success and found.contacts.force.shape == (0, 6)
         np.testing.assert_allclose(found.acceleration, rb.acceleration(model, state), rtol=1e-9)
 
 

@@ -79,7 +79,7 @@ def test_the_energy_never_grows():
         return rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q) + stored
 
     E = np.asarray(jax.vmap(energy)(path.q, path.v))
-    assert path.ok and E[-1] < 0.9 * E[0] and np.diff(E).max() < 1e-5 * abs(E[0])
+    assert path.success and E[-1] < 0.9 * E[0] and np.diff(E).max() < 1e-5 * abs(E[0])
 
 
 def test_rest_and_creep_on_a_slope():
@@ -106,7 +106,7 @@ def test_single_precision_and_batches():
     h = jnp.array([0.05, 0.06], jnp.float32)
     states = rb.State(h[:, None], -jnp.ones((2, 1), jnp.float32))
     path = rb.rollout(model, states, None, 1e-3, steps=200)
-    assert path.ok.all() and path.q.dtype == jnp.float32
+    assert path.success.all() and path.q.dtype == jnp.float32
     np.testing.assert_allclose(path.v[:, -1, 0], restitution(1.0), rtol=0.05)
 
 

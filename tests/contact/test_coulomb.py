@@ -127,7 +127,7 @@ def test_a_rod_whose_friction_changes_its_normal_force_much(speed, mu):
     v, tau = jnp.array([speed, -0.1, 0.0]), jnp.array([0.1, 0.2, 0.3])
     found = solved(v, tau)
     n, *t = np.asarray(found.contacts.force[0, :3])
-    assert bool(found.converged) and n > 0.1 and int(found.iterations) <= 5
+    assert bool(found.success) and n > 0.1 and int(found.iterations) <= 5
     np.testing.assert_allclose(np.hypot(*t), mu * n, rtol=1e-9)
     rates = jax.jit(jax.jacrev(lambda *x: solved(*x).acceleration, (0, 1)))(v, tau)
     h = 1e-6 * jnp.eye(3)

@@ -83,7 +83,7 @@ def test_a_constraint_holds_in_an_impact():
     law = rb.contact.MoreauContact.of(model, friction=0.0)
     path = rb.rollout(model, model.default_state(), None, 1e-3, steps=600, dynamics=law)
     q = path.q[-1]
-    assert path.ok and float(rb.contact.detect(model, q, reach=1.0).distance[0]) > -1e-4
+    assert path.success and float(rb.contact.detect(model, q, reach=1.0).distance[0]) > -1e-4
     rate = rb.constraints.residual(model, path.state(-1)).rate
     np.testing.assert_allclose(rate, 0.0, atol=1e-3)
 
@@ -103,7 +103,7 @@ def test_derivatives_batches_and_single_precision():
     assert by_law.restitution[0] > 0
     states = rb.State(jnp.zeros((2, 1), jnp.float32), jnp.array([[-1.0], [0.0]], jnp.float32))
     path = rb.rollout(model, states, None, 1e-2, steps=40, dynamics=law)
-    assert path.q.dtype == jnp.float32 and path.ok.all()
+    assert path.q.dtype == jnp.float32 and path.success.all()
     np.testing.assert_allclose(path.q[0, -1, 0], height(-1.0), atol=1e-4)
 
 

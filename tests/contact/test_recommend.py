@@ -37,7 +37,8 @@ def test_penetration_and_creep_are_closed_forms_and_decide(model):
     np.testing.assert_allclose(law["coulomb"].penetration, DEPTH, rtol=1e-2)
     assert law["coulomb"].creep < 0.1 * law["mujoco"].creep
     assert law["impulse"].penetration < DEPTH * 1.01 and law["impulse"].creep < 1e-5
-    assert all(x.ok for x in loose.candidates) and loose.cost == min(x.cost for x in law.values())
+    assert all(x.success for x in loose.candidates)
+    assert loose.cost == min(x.cost for x in law.values())
     assert "no contact slips in this motion; cost decides: " in loose.reason
 
     found = recommended(model, 0.5 * (DEPTH + SPEED * HORIZON))

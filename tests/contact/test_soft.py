@@ -202,5 +202,5 @@ def test_laws_are_chosen_by_name() -> None:
     state = model.default_state().replace(v=jnp.zeros(6).at[2].set(-1.0))
     for law in rb.contact.laws():
         path = rb.rollout(model, state, steps=100, dt=0.002, contact=law)
-        assert bool(path.ok) and abs(float(path.q[-1, 2]) - 0.1) < 0.01
+        assert bool(path.success) and abs(float(path.q[-1, 2]) - 0.1) < 0.01
     assert rb.step(model, state, contact="impulse").q[2] > 0.0999

@@ -69,7 +69,7 @@ def test_forces_equal_mujoco(cone: str) -> None:
         mujoco.mj_mulJacTVec(m, d, pushed, forces)
         assert np.abs(pushed).max() > 0.1
         assert relative_error(forces_of_kind, pushed, floor=1.0) < F64_PARITY
-    assert bool(found.converged) and float(found.error) <= tolerance_of(jnp.float64)
+    assert bool(found.success) and float(found.error) <= tolerance_of(jnp.float64)
     assert 1 <= int(found.iterations) <= 10
 
 
@@ -103,16 +103,16 @@ def test_a_batch_and_a_step_that_does_not_converge() -> None:
     one = solver(model)(state.q, state.v)
     many = jax.jit(jax.vmap(lambda v: rb.contact.solve(model, state.replace(v=v))))
     found = many(jnp.stack([state.v, 0 * state.v, -state.v]))
-    assert found.iterations.shape == found.error.shape == found.converged.shape == (3,)
+    assert found.iterations.shape == found.error.shape == found.success.shape == (3,)
     assert relative_error(found.contacts.force[0], one.contacts.force, floor=1.0) < F64_PARITY
-    assert bool(found.converged.all()) and int(one.iterations) > 1
+    assert bool(found.success.all()) and int(one.iterations) > 1
     early = solver(model, iterations=1)(state.q, state.v)
     assert int(early.iterations) == 1
-    assert not bool(early.converged) and float(early.error) > 1e-6
+    assert not bool(early.success) and float(early.error) > 1e-6
     short = jax.tree.map(lambda x: x.astype(jnp.float32), state)
     single = solver(model.astype(jnp.float32))(short.q, short.v)
     assert single.acceleration.dtype == single.error.dtype == jnp.float32
-    assert bool(single.converged)
+    assert bool(single.success)
     assert relative_error(single.contact, one.contact, floor=1.0) < 2e-3
 
 
@@ -167,7 +167,7 @@ def test_all_laws_balance_a_block(law: str) -> None:
     weight = jnp.array([0.0, 0.0, 2 * 9.81])
     np.testing.assert_allclose(2 * found.acceleration, tau - weight + found.constraint, atol=1e-9)
     np.testing.assert_allclose(found.acceleration, 0.0, atol=1e-2)
-    assert bool(found.converged)
+    assert bool(found.success)
     assert float(found.error) < 1e-5
     forces = found.contacts.world_force.sum(0)
     np.testing.assert_allclose(forces, found.contact, atol=1e-9)

@@ -79,7 +79,7 @@ def flight(model: rb.Model, h: float, steps: int, save_every: int, **given):
     )  # fmt: skip
     state = rb.State(loaded.q[-1], loaded.v[-1])
     free = rb.rollout(model, state, None, h, steps=steps, save_every=save_every, **given)
-    assert bool(loaded.ok) and bool(free.ok)
+    assert bool(loaded.success) and bool(free.success)
     return loaded, free
 
 
@@ -138,7 +138,7 @@ def test_variational_midpoint_of_a_bent_steel_rod() -> None:
     model = rb.load('<mujoco><option gravity="0 0 0"/></mujoco>').with_beam("rod", rod)
     state = rb.State(jnp.array([0.0, 0.5, 0.5, 0.0]), jnp.zeros(4))
     path = rb.rollout(model, state, None, 1e-3, steps=50, integrator=VariationalMidpoint(10))
-    assert bool(path.ok)
+    assert bool(path.success)
 
 
 #: EI, GJ, mass per length, length, ratio of viscosity to stiffness

@@ -31,7 +31,7 @@ def test_a_urdf_is_driven():
     force = rb.applied_forces(model, model.default_state(), jnp.array([2.0, -20.0]))
     np.testing.assert_array_equal(force, [2.0, -9.0])  # within the joints' effort
     path = rb.rollout(model, model.default_state(), jnp.ones((3, 2)), 0.01)
-    assert path.ok
+    assert path.success
 
 
 def test_what_is_driven_gets_no_second_motor():

@@ -26,7 +26,7 @@ def test_written_and_read(lead: tuple[int, ...], tmp_path: Path) -> None:
     model = rb.load(ARM)
     run = still(model, *lead)
     found = load_trajectory(save_trajectory(tmp_path / "a.npz", model, run))
-    for name in ("ts", "q", "v", "ok"):
+    for name in ("ts", "q", "v", "success"):
         np.testing.assert_array_equal(getattr(found.trajectory, name), getattr(run, name))
     assert found.model.timestep == 0.004 and found.model.body_names == ("arm",)
     np.testing.assert_allclose(found.model.bodies.mass, model.bodies.mass, rtol=1e-12)

@@ -43,7 +43,7 @@ def test_semi_implicit_euler_is_mujoco_s(scene, key):
         d.ctrl[:] = ctrl
         mujoco.mj_step(m, d)
     out = rb.rollout(model, state, ctrls, DT)
-    assert bool(out.ok)
+    assert bool(out.success)
     assert relative_error(out.q[-1], d.qpos) < F64_PARITY
     assert relative_error(out.v[-1], d.qvel) < F64_PARITY
 
@@ -103,7 +103,7 @@ def test_batch_is_a_loop_and_padding_is_unseen(key):
     ctrls = jax.random.normal(key, (200, 12, 1))
     batch = rb.rollout(model, states, ctrls, 0.01)
     assert batch.q.shape == (200, 13, 2)
-    assert batch.ok.shape == (200,)
+    assert batch.success.shape == (200,)
     for i in (0, 127, 128, 199):
         one = rb.rollout(model, jax.tree.map(lambda x, i=i: x[i], states), ctrls[i], 0.01)
         np.testing.assert_allclose(batch.q[i], one.q, rtol=0, atol=1e-13)
@@ -291,7 +291,7 @@ def test_a_motion_that_blows_up_is_a_value():
     state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
     with pytest.warns(UserWarning, match="the motion has values that are not finite"):
         out = rb.rollout(model, state, None, 1.0, steps=5)
-    assert not bool(out.ok)
+    assert not bool(out.success)
 
 
 @pytest.mark.slow
@@ -347,7 +347,7 @@ def test_turns_of_a_radian_and_more_a_step_are_those_of_the_method_itself(method
         path = rb.rollout(model, start, None, h, steps=steps, integrator=method)
     np.testing.assert_allclose(path.v[: len(due), 3:], due, rtol=1e-6)
     assert np.isfinite(path.q[: len(due)]).all()
-    assert bool(path.ok) == (len(due) == steps + 1)
+    assert bool(path.success) == (len(due) == steps + 1)
 
 
 @pytest.mark.parametrize("given", ["another tree", "a Python number"])

@@ -71,7 +71,7 @@ def test_a_failed_solve_is_a_result(key):
     model = rb.load("double_pendulum")
     state, ts = model.random_state(key), jnp.linspace(0, 10.0, 3)
     out = rb.simulate(model, state, ts, max_steps=5, throw=False)
-    assert not bool(out.ok)
+    assert not bool(out.success)
     assert out.result != diffrax.RESULTS.successful
     with pytest.raises(Exception, match="maximum number of solver steps"):
         rb.simulate(model, state, ts, max_steps=5)
@@ -82,7 +82,7 @@ def test_a_blow_up_with_fixed_steps_is_said(key):
     state = rb.State(jnp.ones(2), 1e8 * jnp.ones(2))
     ts = jnp.array([0.0, 50.0])
     out = rb.simulate(model, state, ts, dt=1.0, throw=False)
-    assert not bool(out.ok)
+    assert not bool(out.success)
 
 
 @pytest.mark.slow
@@ -206,4 +206,4 @@ def test_a_joint_that_moves_no_mass_is_told():
         rb.simulate(empty, model.default_state(), jnp.array([0.0, 0.1]), dt=0.05)
     with pytest.warns(UserWarning, match="values that are not finite, the first at t = 0.05 s"):
         path = rb.rollout(empty, model.default_state(), None, 0.05, steps=2)
-    assert not bool(path.ok)  # there the numbers are arguments
+    assert not bool(path.success)  # there the numbers are arguments

@@ -39,12 +39,12 @@ def test_a_cap_of_one_iteration_is_reported_and_a_good_run_reports_none(model, s
     assert good.unconverged == 0 and 0 < good.worst_error <= 1e-12
     assert good.report.shape == (STEPS + 1, 2) and "converged in all steps" in good.summary()
     bad = capped(model, state, save_every=4)
-    assert bad.ok and bad.report.shape == (4, 2) and (jnp.diff(bad.report, axis=0) >= 0).all()
+    assert bad.success and bad.report.shape == (4, 2) and (jnp.diff(bad.report, axis=0) >= 0).all()
     # the steps that `rb.contact.solve` finds unconverged
     each = capped(model, state)
     states = rb.State(each.q[:-1], each.v[:-1])
     found = jax.vmap(lambda s: rb.contact.solve(model, s, contact=ONE))(states)
-    assert 0 < bad.unconverged == (~found.converged).sum() == each.unconverged
+    assert 0 < bad.unconverged == (~found.success).sum() == each.unconverged
     np.testing.assert_allclose(bad.worst_error, found.error.max(), rtol=1e-6)
     assert f"did not converge in {int(bad.unconverged)} steps" in bad.summary()
 

@@ -177,17 +177,17 @@ def test_a_batch_that_is_not_finite_is_said_once():
     state = still.replace(q=still.q.at[2:, 0].set(0.05))
     with pytest.warns(UserWarning, match="2 of 4 samples .* sample [23]; dt is 0.02 s") as caught:
         path = rb.rollout(stiff, state, None, 0.02, steps=400)
-    assert len(caught) == 1 and path.ok.tolist() == [True, True, False, False]
+    assert len(caught) == 1 and path.success.tolist() == [True, True, False, False]
     said = str(caught[0].message)
     bad = ~np.isfinite(np.asarray(path.v)).all(-1).all(0)
     assert f"t = {float(path.ts[bad.argmax()]):.6g} s" in said
     stable = float(said.split("Take dt below ")[1].split(" s")[0])
     one = jax.tree.map(lambda x: x[3], state)
-    assert rb.rollout(stiff, one, None, 0.5 * stable, steps=2000, save_every=2000).ok
+    assert rb.rollout(stiff, one, None, 0.5 * stable, steps=2000, save_every=2000).success
     with pytest.warns(UserWarning, match="not finite"):
-        assert not rb.rollout(stiff, one, None, 4 * stable, steps=2000, save_every=2000).ok
+        assert not rb.rollout(stiff, one, None, 4 * stable, steps=2000, save_every=2000).success
 
 
 def test_within_a_program_it_is_a_value_only():
     blown = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
-    assert not jax.jit(lambda s: rb.rollout(MODEL, s, None, 1.0, steps=3).ok)(blown)
+    assert not jax.jit(lambda s: rb.rollout(MODEL, s, None, 1.0, steps=3).success)(blown)

@@ -81,7 +81,7 @@ def test_energy_stays_where_semi_implicit_euler_loses_it():
         path = rb.rollout(
             model, state, None, 0.005, steps=500_000, save_every=50, integrator=method
         )
-        assert path.ok
+        assert path.success
         e = energies(model, path)
         off[method] = np.abs(e - e[0])
         late = (e - e[0])[-2000:].mean()
@@ -97,7 +97,7 @@ def test_momentum_of_a_free_robot_is_kept():
     state = model.random_state(jax.random.key(2))
     state = state.replace(v=10 * state.v)
     path = rb.rollout(model, state, None, 0.02, steps=40, save_every=10, integrator=NAME)
-    assert path.ok
+    assert path.success
     momentum = jax.vmap(lambda q, v: rb.centroidal_momentum(model, q, v))
     kept = jax.jit(momentum)(path.q, path.v)
     assert relative_error(kept[1:], np.broadcast_to(kept[0], (4, 6))) < F64_IDENTITY
@@ -233,10 +233,10 @@ def test_a_step_that_does_not_converge_is_no_number():
     model = rb.load("double_pendulum")
     state = rb.State(jnp.array([2.0, 1.0]), jnp.array([20.0, -30.0]))
     with pytest.warns(UserWarning, match="not finite"):
-        assert not rb.rollout(model, state, None, 0.5, steps=3, integrator=NAME).ok
-    assert rb.rollout(model, state, None, 0.005, steps=3, integrator=NAME).ok
+        assert not rb.rollout(model, state, None, 0.5, steps=3, integrator=NAME).success
+    assert rb.rollout(model, state, None, 0.005, steps=3, integrator=NAME).success
     still = rb.load("pendulum").default_state()  # nothing moves: there is nothing to correct
-    assert rb.rollout(rb.load("pendulum"), still, None, 0.5, steps=3, integrator=NAME).ok
+    assert rb.rollout(rb.load("pendulum"), still, None, 0.5, steps=3, integrator=NAME).success
 
 
 @pytest.mark.slow
@@ -249,7 +249,7 @@ def test_at_rest_corrections_are_rounding(dtype):
     path = rb.rollout(
         model.replace(joints=damped), state, None, 0.01, steps=4000, save_every=500, integrator=NAME
     )
-    assert path.ok and np.abs(path.v[-1]).max() < 1e-3
+    assert path.success and np.abs(path.v[-1]).max() < 1e-3
 
 
 @pytest.mark.slow
@@ -258,7 +258,7 @@ def test_springs_and_dampers_of_joints_may_be_stiff():
     stiff = model.joints.replace(damping=1e4 * jnp.ones(2), stiffness=1e6 * jnp.ones(2))
     state = rb.State(jnp.array([0.1, 0.2]), jnp.array([1.0, -1.0]))
     path = rb.rollout(model.replace(joints=stiff), state, None, 0.01, steps=50, integrator=NAME)
-    assert path.ok and np.abs(path.v).max() < 30
+    assert path.success and np.abs(path.v).max() < 30
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_servos_of_joints_may_be_stiff(kind):
     model = model.replace(actuators=model.actuators.replace(bias=bias))
     state = model.default_state().replace(v=0.3 * jnp.ones(model.nv))
     path = rb.rollout(model, state, jnp.zeros((50, 1)), 0.02, integrator=NAME)
-    assert path.ok and np.abs(path.q[:, 0]).max() < 0.01
+    assert path.success and np.abs(path.q[:, 0]).max() < 0.01
 
 
 @pytest.mark.parametrize("wrong", [1, 0, 2.0, None])

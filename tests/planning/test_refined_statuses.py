@@ -80,10 +80,10 @@ def test_refine_in_each_dtype(dtype):
     )
     path = Path(jnp.zeros(3, dtype), jnp.asarray([[0.1, 0, 0]] * 10 + [[-0.1, 0, 0]] * 3, dtype))
     few = dict(intervals=12, iterations=25, parts=1)
-    cart = rb.wheeled.at(robot, "kinematical")
+    cart = rb.wheeled.at(robot, "reduced")
     got = refine(cart, path, Limits(0.4), **few)
     assert got.motion.time.dtype == dtype and got.status == "refined", got.residuals
-    steep = rb.wheeled.at(robot.replace(slope=jnp.array([0.5, 0.0], dtype)), "kinematical")
+    steep = rb.wheeled.at(robot.replace(slope=jnp.array([0.5, 0.0], dtype)), "reduced")
     assert refine(steep, path, Limits(0.4), **few).status == "infeasible"
 
 

@@ -57,10 +57,10 @@ def scene(name: str):
         shape = Footprint.rectangle(**SIZE)
         found = plan(GAP, shape, (1, 0.8, 0), (5, 3.2, 3), radius=0.8)
         limits, gain = Limits(2.0, 2.0, steering_rate=1.5), 0.15
-        return rb.wheeled.at(robot, "kinematical"), limits, GAP, SIZE, found.path, gain
+        return rb.wheeled.at(robot, "reduced"), limits, GAP, SIZE, found.path, gain
     shape = Footprint.rectangle(**BOX)
     if name == "omni":
-        vehicle, drive = rb.wheeled.at(KINDS["omni_3"].make(), "kinematical"), "omnidirectional"
+        vehicle, drive = rb.wheeled.at(KINDS["omni_3"].make(), "reduced"), "omnidirectional"
         limits = Limits(0.2, 1.0, 2.0)
     else:
         vehicle, drive, limits = cart(0.07), "differential", Limits(TORQUE, 1.0, 2.0)
@@ -107,7 +107,7 @@ def test_many_at_once_and_another_fidelity() -> None:
     run = jax.jit(jax.vmap(lambda s: refine(vehicle, Path(jnp.zeros(3), s), limits, **few)))
     many = run(steps)
     for i, x in enumerate(steps):
-        for fidelity in ("kinematical", "dynamical"):
+        for fidelity in ("reduced", "dynamical"):
             same = rb.wheeled.at(vehicle.robot, fidelity)
             one = refine(same, Path(jnp.zeros(3), x), limits, **few)
             assert one.status == "refined"
@@ -117,9 +117,9 @@ def test_many_at_once_and_another_fidelity() -> None:
 @pytest.mark.slow
 def test_a_trailer_and_a_caster_come_along() -> None:
     """Their angles are states of the motion; a caster takes short steps."""
-    trailer = rb.wheeled.at(KINDS["car_trailer"].make(), "kinematical")
+    trailer = rb.wheeled.at(KINDS["car_trailer"].make(), "reduced")
     bends = Path(np.zeros(3), [[10.0, 0.0, 1.5], [8.0, 0.0, -1.0]]).split(0.5)
-    caster = rb.wheeled.at(KINDS["differential_drive"].make(), "kinematical")
+    caster = rb.wheeled.at(KINDS["differential_drive"].make(), "reduced")
     corner = Path(np.zeros(3), [[0.5, 0, 0], [0, 0, 1.2], [0.5, 0, 0]]).split(0.1)
     cases = [
         (trailer, bends, Limits(600.0, 5.0, steering_rate=0.5), 2),
@@ -157,7 +157,7 @@ def test_derivatives_of_the_time() -> None:
 @pytest.mark.slow
 def test_failures_are_results() -> None:
     """No motion holds the limits on a steep slope; a wall across the path is never crossed."""
-    steep = rb.wheeled.at(cart().robot.replace(slope=jnp.array([0.5, 0.0])), "kinematical")
+    steep = rb.wheeled.at(cart().robot.replace(slope=jnp.array([0.5, 0.0])), "reduced")
     path = overshoot(10, 0, False)
     few = dict(intervals=12, iterations=5)
     assert refine(steep, path, Limits(TORQUE), **few).status == "infeasible"
@@ -173,7 +173,7 @@ def test_failures_are_results() -> None:
         (dict(field=GRID.distance_field()), ["only one of field and footprint"]),
         (dict(field=GRID, footprint=Footprint.disc(0.2)), ["OccupancyGrid", "DistanceField"]),
         (dict(intervals=0), ["intervals is 0", "integer of at least 1"]),
-        (dict(model=rb.wheeled.at(cart().robot, "kinematic")), ["Kinematic", "kinematical"]),
+        (dict(model=rb.wheeled.at(cart().robot, "kinematic")), ["Kinematic", "reduced"]),
         (dict(path=Path(np.zeros((2, 3)), np.zeros((2, 4, 3)))), ["(2, 4, 3)", "jax.vmap"]),
     ],
     ids=range(5),

@@ -18,7 +18,7 @@ def cart(com: float = 0.0):
         track=TRACK, radius=RADIUS, mass=MASS, inertia=INERTIA, com=(com, 0.0), wheel_mass=WHEEL,
         caster=None,
     )  # fmt: skip
-    return rb.wheeled.at(made, "kinematical")
+    return rb.wheeled.at(made, "reduced")
 
 
 # by hand: wheels are discs, upright
@@ -111,7 +111,7 @@ def test_a_car_on_an_arc_is_bang_bang_with_its_kinetic_energy() -> None:
     )  # fmt: skip
     bend, way, torque = 0.8, 1.5, 0.6
     path = Path(np.zeros(3), [[way, 0.0, bend * way]]).split(0.25)
-    vehicle = rb.wheeled.at(robot, "kinematical")
+    vehicle = rb.wheeled.at(robot, "reduced")
     found = time_scaling(vehicle, path, Limits(torque, steering_rate=2.0))
     energy = mass * (1 + (com * bend) ** 2) + inertia * bend**2
     for x in (0.0, base):
@@ -130,15 +130,15 @@ def test_the_robot_drives_there_with_these_torques() -> None:
     cases = [
         (cart(0.05), [[1, 0, 0], [0, 0, 1.5], [0.5, 0, 0]], Limits(0.4, 1.0, 2.0), 0.05),
         (
-            rb.wheeled.at(KINDS["car"].make(**small, wheel_mass=0.6), "kinematical"),
+            rb.wheeled.at(KINDS["car"].make(**small, wheel_mass=0.6), "reduced"),
             [[1.0, 0, 0.5], [-1.0, 0, 0.4]], Limits(1.0, 1.0, steering_rate=2.0), 0.05,
         ),
         (
-            rb.wheeled.at(KINDS["omni_3"].make(), "kinematical"),
+            rb.wheeled.at(KINDS["omni_3"].make(), "reduced"),
             [[0.6, 0, 0], [0.3, 0.3, 0], [0, 0, 1.0]], Limits([0.2, 0.3, 0.2], 1.0), 0.03,
         ),
         (
-            rb.wheeled.at(KINDS["mecanum"].make(), "kinematical"),  # 4 drives, 3 velocities
+            rb.wheeled.at(KINDS["mecanum"].make(), "reduced"),  # 4 drives, 3 velocities
             [[0.6, 0, 0], [0, 0.4, 0]], Limits(0.3, 1.0), 0.03,
         ),
     ]  # fmt: skip
@@ -175,14 +175,14 @@ def test_derivatives_padding_and_failure() -> None:
     blank = jnp.zeros((3, 3))
     padded = jnp.concatenate([path.steps[:4], blank, path.steps[4:], blank])
     assert float(both(jnp.asarray(0.4), padded)[0]) == pytest.approx(float(value), rel=1e-9)
-    steep = rb.wheeled.at(cart().robot.replace(slope=jnp.array([0.5, 0.0])), "kinematical")
+    steep = rb.wheeled.at(cart().robot.replace(slope=jnp.array([0.5, 0.0])), "reduced")
     assert time_scaling(steep, path, Limits(0.4)).status == "infeasible"
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda p: time_scaling(cart().robot, p, Limits(1.0)), ["Robot", "kinematical"]),
+        (lambda p: time_scaling(cart().robot, p, Limits(1.0)), ["Robot", "reduced"]),
         (lambda p: time_scaling(cart(), None, Limits(1.0)), ["is None", "Path"]),
         (lambda p: time_scaling(cart(), p, 1.0), ["1.0", "Limits"]),
         (lambda p: time_scaling(cart(), p, Limits([1.0] * 3)), ["(3,)", "(2,)"]),
@@ -213,7 +213,7 @@ def test_wrong_arguments(call, words: list[str]) -> None:
 def test_a_limit_of_the_steering_angle_binds(dtype: type) -> None:
     """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees. The vehicle and
     the limits are in float64; the motion has the dtype of the path."""
-    vehicle = rb.wheeled.at(KINDS["bicycle"].make(wheelbase=1.0), "kinematical")
+    vehicle = rb.wheeled.at(KINDS["bicycle"].make(wheelbase=1.0), "reduced")
     steps = jnp.asarray([[1.57, 0, 1.57]], dtype)
     path = Path(jnp.zeros(3, dtype), steps).split(0.4)
     angles = jnp.asarray([jnp.inf, jnp.pi / 4, 0.78])  # the second is exactly at the limit

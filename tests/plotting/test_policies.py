@@ -43,7 +43,7 @@ def test_a_recording_is_the_motion_of_the_environment(env) -> None:
         obs, state, reward, _, _ = jax.vmap(env.step)(stepped, state, action)
         np.testing.assert_allclose(found.trajectory.q[:, i + 1], state.state.q, atol=1e-9)
         np.testing.assert_allclose(found.reward[:, i], reward, atol=1e-9)
-    assert found.done.shape == (2, 4) and found.trajectory.ok.all()
+    assert found.done.shape == (2, 4) and found.trajectory.success.all()
     np.testing.assert_allclose(found.trajectory.ts, env.dt * np.arange(5))
 
 

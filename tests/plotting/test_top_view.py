@@ -31,7 +31,7 @@ def motion(car):
 
 def test_trailers_hang_on_their_hitches():
     robot = KINDS["tractor_trailers"].make()
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     q = np.random.default_rng(0).normal(size=(3, vehicle.nq))
     every = places(vehicle, q)
     for k in range(3):
@@ -45,7 +45,7 @@ def test_trailers_hang_on_their_hitches():
 
 @pytest.mark.parametrize("name", ["differential_drive", "car"])
 def test_wheels_that_roll_move_along_themselves(name):
-    vehicle = wheeled.at(KINDS[name].make(), "kinematical")
+    vehicle = wheeled.at(KINDS[name].make(), "reduced")
     state = wheeled.start(vehicle, pose=[0.1, 0.2, 0.7], twist=[0.5, 0.0, 0.3])
     rate, h = wheeled.rates(vehicle, state, jnp.zeros(vehicle.nu)), 1e-6
     at, before, after = (places(vehicle, state.q + s * h * rate.q) for s in (0, -1, 1))

@@ -125,13 +125,13 @@ BODY: Calls = {
 }  # fmt: skip
 
 ROBOT = wheeled.kinds()["differential_drive"].make()
-VEHICLE = wheeled.at(ROBOT, "kinematical")
+VEHICLE = wheeled.at(ROBOT, "reduced")
 STATE = wheeled.start(VEHICLE)
 SLIPPING = wheeled.at(ROBOT, "slipping", tyre=wheeled.Fiala(12.0, 0.8))
 PATH = np.stack([np.linspace(1, 4, 6), np.linspace(1, 2, 6) ** 2, np.linspace(0.4, 0.9, 6)], -1)
 ONE = np.zeros(3)
 WHEELED: Calls = {
-    "at": {"robot": ROBOT, "fidelity": "kinematical"},
+    "at": {"robot": ROBOT, "fidelity": "reduced"},
     "commands": {"robot": ROBOT, "twist": np.array([0.5, 0.0, 0.1])},
     "contacts": {
         "model": SLIPPING, "state": wheeled.start(SLIPPING), "ctrl": np.zeros(2),

@@ -56,7 +56,7 @@ NUMBERS = {
     "negative": -1.0, "zero": 0.0, "huge": 10**400, "bytes": b"1",
 }  # fmt: skip
 COUNTS = {**NUMBERS, "half": 2.5, "negative": -3}
-NAMES = {"misspelt": "kinematicall", "a number": 3, "None": None, "a list": ["a"], "empty": "",
+NAMES = {"misspelt": "reducedd", "a number": 3, "None": None, "a list": ["a"], "empty": "",
          "a dict": {}, "an array": np.zeros(2), "bytes": b"planar"}  # fmt: skip
 FLAGS = {"a word": WORD, "a number": 7, "None": None, "an array": np.ones(2)}
 RECORDS = {
@@ -156,7 +156,7 @@ def finite(tree: Any) -> bool:
 def wrong_with_result(argument: str, got: Any, good: Callable) -> str | None:
     """A result that is not finite if that of the good call is, or of other shapes but for leading
     axes of a batch."""
-    if isinstance(got, rb.Trajectory) and not np.all(got.ok):
+    if isinstance(got, rb.Trajectory) and not np.all(got.success):
         return None
     want = good()
     due, shapes = ([x.shape for x in numeric(tree)] for tree in (want, got))

@@ -161,7 +161,7 @@ def wrong_with(reader: Reader, path: Path) -> str | None:
         return None if 25 < length < 2000 else f"says {str(error)[:200]!r}"
     except Exception as error:
         return f"{type(error).__name__}: {str(error)[:200]}"
-    if isinstance(found, rb.loading.SavedTrajectory) and not found.trajectory.ok.all():
+    if isinstance(found, rb.loading.SavedTrajectory) and not found.trajectory.success.all():
         return None  # it says so
     for x in numeric(found):
         if x.dtype.kind == "f" and (np.isnan(x) if reader.endless else ~np.isfinite(x)).any():

@@ -120,11 +120,11 @@ def test_a_stiff_robot_with_large_steps(name: str) -> None:
 
     for dt, bound in zip((0.01, 0.05), ROBOTS[name], strict=True):
         path = run(0.0, dt)
-        assert path.ok
+        assert path.success
         assert abs(path.q[-1, 0] - locked(1.0)) < bound, dt
         if name in STIRRED:
             stirred = run(0.02, dt)
-            assert stirred.ok
+            assert stirred.success
             assert abs(stirred.q[-1, 0] - locked(1.0)) < 2e-2 + bound, dt
 
 

@@ -117,6 +117,6 @@ def test_what_no_robot_has_is_refused():
     for name in ("friction", "rotor_inertia"):
         with pytest.raises(rb.InputError, match=f"{name}.*at least 0"):
             rb.wheeled.DCMotor(1.0, 0.1, **{name: -0.1})
-    vehicle = rb.wheeled.at(kinds()["unicycle"].make(), "kinematical")
+    vehicle = rb.wheeled.at(kinds()["unicycle"].make(), "reduced")
     with pytest.raises(rb.InputError, match="rates: state is 3, expected a State"):
         rb.wheeled.rates(vehicle, 3, jnp.zeros(2))

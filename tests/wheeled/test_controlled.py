@@ -25,7 +25,7 @@ def vehicle(name: str) -> wheeled.RobotModel:
         return wheeled.at(car, "slipping", tyre=tyre)
     if name == "no velocities":
         return wheeled.at(KINDS["bicycle"].make(motor=wheeled.SpeedServo(1.0)), "kinematic")
-    return wheeled.at(KINDS["differential_drive"].make(caster=None), "kinematical")
+    return wheeled.at(KINDS["differential_drive"].make(caster=None), "reduced")
 
 
 EVERY = pytest.mark.parametrize("name", ["wheels that relax", "no velocities", "cart"])
@@ -113,7 +113,7 @@ def test_an_error_of_a_state_is_a_difference_of_all_numbers() -> None:
 def test_motors_with_a_battery_have_a_range() -> None:
     motor = wheeled.DCMotor(2.0, 0.05, gear=20.0, battery=12.0)
     robot = KINDS["bicycle"].make(motor=motor)
-    system = wheeled.controlled(wheeled.at(robot, "kinematical"))
+    system = wheeled.controlled(wheeled.at(robot, "reduced"))
     low, high = system.ctrl_range
     np.testing.assert_array_equal(low, [-36.0, -np.inf])
     np.testing.assert_array_equal(high, [36.0, np.inf])
@@ -141,7 +141,7 @@ def test_three_omni_wheels_take_the_least_torques_of_a_closed_form() -> None:
     """Straight ahead the robot is a mass: the heading stays 0 by symmetry, steps of rk4 are exact,
     and the least squares of torques that give a force F are F r (-sin a) / (3/2)."""
     robot, steps, h = KINDS["omni_3"].make(), 20, 0.1
-    omni = wheeled.at(robot, "kinematical")
+    omni = wheeled.at(robot, "reduced")
     goal = jnp.array([1.0, 0.0, 0.0])
     problem = control.Problem(
         omni, steps, h, running=[control.Control()],

@@ -65,7 +65,7 @@ def test_pure_pursuit_holds_a_slipping_cart_on_a_circle() -> None:
 
     start = wheeled.start(cart, pose=[0.0, -0.2, 0.0])
     found = wheeled.rollout(cart, start, control, 0.002, steps=4000, save_every=400)
-    assert found.ok
+    assert found.success
     off = from_circle(1.5, np.asarray(found.q))
     assert off[0] > 0.15 and np.abs(off[4:]).max() < 0.03
     assert np.abs(np.diff(found.q[:, 2]))[3:].min() > 0.1  # it drives on
@@ -82,7 +82,7 @@ def test_stanley_holds_a_slipping_car_on_a_circle() -> None:
 
     start = wheeled.start(car, pose=[0.0, -1.0, 0.0], twist=[5.0, 0.0, 0.0])
     found = wheeled.rollout(car, start, control, 0.002, steps=6000, save_every=500)
-    assert found.ok
+    assert found.success
     ends = np.asarray(found.q)
     front = ends[:, :2] + 2.6 * np.stack([np.cos(ends[:, 2]), np.sin(ends[:, 2])], -1)
     off = from_circle(20.0, front)
@@ -93,7 +93,7 @@ def test_stanley_holds_a_slipping_car_on_a_circle() -> None:
 def test_a_regulator_brings_a_slipping_cart_back_to_its_trajectory() -> None:
     """Gains of the rolling model, used on the slipping one, whose start is off."""
     robot = KINDS["differential_drive"].make(caster=None, wheel_mass=2.0)
-    ideal = wheeled.at(robot, "kinematical")
+    ideal = wheeled.at(robot, "reduced")
     slips = wheeled.at(robot, "slipping", tyre=Fiala(40.0, 0.8, smooth_speed=0.3))
     dt, steps, n = 0.01, 400, ideal.nq
     u = jnp.tile(jnp.array([0.03, 0.02]), (steps, 1))
@@ -122,7 +122,7 @@ def test_gains_of_a_steady_motion_are_those_of_the_algebraic_equation() -> None:
     import scipy.linalg
 
     robot = KINDS["omni_3"].make()
-    base = wheeled.at(robot, "kinematical")
+    base = wheeled.at(robot, "reduced")
     dt, steps = 0.05, 300
     rest = State(jnp.zeros((steps + 1, 6)), jnp.zeros((steps + 1, 3)))
     Q, R = jnp.array([1.0, 1.0, 1.0, 0, 0, 0, 0.1, 0.1, 0.1]), jnp.ones(3)

@@ -157,7 +157,7 @@ def to_file(name: str, q: np.ndarray, rates: np.ndarray, b: tuple[np.ndarray, np
 
 def laws(robot: wheeled.Robot, fidelity: str):
     """The robot's rates of coordinates, and the rates of its full velocities, at a fidelity."""
-    reduced, law = wheeled.at(robot, "kinematical"), wheeled.at(robot, fidelity)
+    reduced, law = wheeled.at(robot, "reduced"), wheeled.at(robot, fidelity)
 
     def found(q, v, u):
         context = reduced.context(State(q, v), u)
@@ -176,7 +176,7 @@ def laws(robot: wheeled.Robot, fidelity: str):
     "fidelity",
     ["dynamical"]
     + [pytest.param(f, marks=pytest.mark.slow)
-       for f in ("kinematical", "quasi_velocities", "constrained")],
+       for f in ("reduced", "quasi_velocities", "constrained")],
 )  # fmt: skip
 @every_case
 def test_accelerations_are_those_of_the_whole_file(name, fidelity) -> None:
@@ -303,7 +303,7 @@ def test_speeds_have_the_signs_of_the_files_joints() -> None:
     left, right = wheeled.commands(robot, [0.3, 0.0, 0.0]).speeds
     np.testing.assert_allclose([left, right], [6.0, -6.0], rtol=1e-12)
     vehicle = wheeled.at(wheeled.from_file(_upkie(), ["right_wheel", "left_wheel"], q=POSE),
-                         "kinematical")  # fmt: skip
+                         "reduced")  # fmt: skip
     # free velocities are ahead, although the wheel that leads has its heading behind
     found = wheeled.start(vehicle, twist=[0.3, 0, 0.1]).v
     np.testing.assert_allclose(found, [0.3, 0.1], rtol=1e-12)
@@ -346,7 +346,7 @@ def test_tendons_that_share_wheels_add_their_torques() -> None:
     each = cart('<motor joint="left"/>', '<motor joint="right"/>')
     found = []
     for robot, u in ((both, [0.3, 0.1]), (each, [0.3 - 0.05, -0.3 - 0.05])):
-        vehicle = wheeled.at(robot, "kinematical")
+        vehicle = wheeled.at(robot, "reduced")
         state = wheeled.start(vehicle, twist=[0.4, 0.0, 0.2])
         found.append(wheeled.rates(vehicle, state, u).v)
     np.testing.assert_allclose(*found, rtol=1e-12)

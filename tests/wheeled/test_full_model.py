@@ -64,7 +64,7 @@ def full_rates(n, context, w, change):
 @every_kind
 def test_accelerations_and_energy(name):
     robot = on_a_slope(name, behind=0.6)
-    reduced, full = wheeled.at(robot, "kinematical"), Constrained(robot)
+    reduced, full = wheeled.at(robot, "reduced"), Constrained(robot)
     eliminated = wheeled.at(robot, "dynamical")
 
     def found(q, v, u):
@@ -98,7 +98,7 @@ def test_separation_of_wrenches_term_by_term(name):
     """S^T M S and S^T (f - M S' nu) of the reduction are those of the multibody model's own mass
     matrix and bias forces, on the null space of its own rows."""
     robot = on_a_slope(name, behind=0.6)
-    reduced = wheeled.at(robot, "kinematical")
+    reduced = wheeled.at(robot, "reduced")
 
     def found(q, nu, u):
         context = reduced.context(State(q, nu), u)
@@ -141,7 +141,7 @@ def test_separation_of_wrenches_term_by_term(name):
 
 def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
     robot = on_a_slope("differential_drive")
-    full, reduced = Constrained(robot), wheeled.at(robot, "kinematical")
+    full, reduced = Constrained(robot), wheeled.at(robot, "reduced")
 
     def found(q, nu, u):
         context = reduced.context(State(q, nu), u)
@@ -242,12 +242,12 @@ def test_rows_hold_over_a_long_rollout() -> None:
     and the motion stays that of the reduced model to the order of the method."""
     robot = wheeled.kinds()["differential_drive"].make(caster=None)
     u = jnp.array([0.02, -0.02])
-    full, reduced = (wheeled.at(robot, f) for f in ("constrained", "kinematical"))
+    full, reduced = (wheeled.at(robot, f) for f in ("constrained", "reduced"))
     ends = []
     for vehicle in (full, reduced):
         start = wheeled.start(vehicle, twist=[0.5, 0.0, 0.4])
         path = wheeled.rollout(vehicle, start, lambda t, s: u, 0.001, steps=20_000, save_every=2000)
-        assert path.ok
+        assert path.success
         ends.append(path)
     context = full.context(State(ends[0].q[-1], ends[0].v[-1]))
     n = context.n

@@ -63,7 +63,7 @@ def test_endlessly_stiff_tyres_roll(name):
     without limit, where the centre of mass is above the ground.)"""
     motor = DCMotor(2.0, 0.05, gear=20.0)
     stiff = made(name, wheeled.Linear(1e8, smooth_speed=1.0), motor, height=0.0)
-    rolling = wheeled.at(stiff.robot, "kinematical")
+    rolling = wheeled.at(stiff.robot, "reduced")
     twist, u = [0.3, 0.0, 0.2], COMMANDS[name]
     slip, roll = (end(x, wheeled.start(x, twist=twist), u, 0.5, 50) for x in (stiff, rolling))
     np.testing.assert_allclose(slip[:3], roll[:3], atol=1e-6)  # the stiffness is 1e8
@@ -72,7 +72,7 @@ def test_endlessly_stiff_tyres_roll(name):
 
 def test_without_dampers_it_is_semi_implicit_euler():
     robot = KINDS["differential_drive"].make()
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     start, u = wheeled.start(vehicle, twist=[0.5, 0.0, 1.0]), jnp.array([0.1, 0.2])
     a, b = (end(vehicle, start, u, 0.2, 20, method) for method in (STEP, "semi_implicit_euler"))
     np.testing.assert_allclose(a, b, rtol=1e-13)

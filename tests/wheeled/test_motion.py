@@ -73,8 +73,8 @@ TWO = {name: LAWS[f"{name}, two"] for name in ("linear", "saturated", "fiala", "
 RELAXING = Relaxing(soft(TWO["fiala"])[0], [0.3, 0.4], 0.01)
 # steps are stable: where wheels chatter, a slope is rounding that has grown
 GRADIENTS = {
-    "car, rolling": ("car", "kinematical", None, 0.01),
-    "omni_3, rolling": ("omni_3", "kinematical", None, 0.01),
+    "car, rolling": ("car", "reduced", None, 0.01),
+    "omni_3, rolling": ("omni_3", "reduced", None, 0.01),
     "car, four laws": (
         "car", "slipping",
         soft(TWO["saturated"], TWO["fiala"], TWO["pacejka"], TWO["tmeasy"]), 0.002,
@@ -177,11 +177,11 @@ MOTORS = {
 }
 TYRE = LAWS["fiala, two"].replace(smooth_speed=jnp.asarray(0.5))
 BALANCES = [
-    ("differential_drive", "kinematical", "dc"),
+    ("differential_drive", "reduced", "dc"),
     ("tricycle", "quasi_velocities", "dc"),
     ("car", "dynamical", "servo"),
-    ("mecanum", "kinematical", "servo"),
-    ("car_trailer", "kinematical", "dc"),
+    ("mecanum", "reduced", "servo"),
+    ("car_trailer", "reduced", "dc"),
     ("differential_drive", "slipping", "dc"),
     ("bicycle", "slipping", "servo"),
     ("omni_3", "slipping", "dc"),
@@ -225,7 +225,7 @@ def to_and_fro(t, state):
 
 
 @slow
-@pytest.mark.parametrize("fidelity", ["kinematical", "constrained"])
+@pytest.mark.parametrize("fidelity", ["reduced", "constrained"])
 def test_rows_hold_over_a_million_steps(fidelity) -> None:
     """Reduced velocities cannot leave the rows; those of all bodies are put back on them."""
     vehicle = wheeled.at(KINDS["differential_drive"].make(caster=None), fidelity)
@@ -236,7 +236,7 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
         compiler_options=compiler_options(),
     )
     path = run(start)
-    assert path.ok and np.abs(np.diff(path.q[:, :2], axis=0)).max() > 1.0
+    assert path.success and np.abs(np.diff(path.q[:, :2], axis=0)).max() > 1.0
     off = 0.0
     for state in map(path.state, range(11)):
         context = vehicle.context(State(state.q, state.v))
@@ -246,7 +246,7 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
         if fidelity == "constrained":  # v as it is kept
             found = constraint_rates(n, context.shape, context.v)
             off = max(off, np.abs(np.array(found, float)).max())
-    assert off < (1e-15 if fidelity == "kinematical" else 1e-12)
+    assert off < (1e-15 if fidelity == "reduced" else 1e-12)
 
 
 @slow
@@ -255,6 +255,6 @@ def test_rows_of_the_model_hold_over_a_million_steps() -> None:
     rolling = np.array([0.5 + 0.4 * 0.2, 0.5 - 0.4 * 0.2]) / 0.08
     start = State(jnp.zeros(5), jnp.array([0.5, 0.0, 0.4, *rolling]))
     path = rb.rollout(model, start, to_and_fro, 1e-3, integrator="rk4", **A_MILLION)
-    assert path.ok
+    assert path.success
     off = [rb.constraints.residual(model, path.state(i))[1] for i in range(11)]
     assert np.abs(off).max() < 1e-12

@@ -51,11 +51,11 @@ PARTS: dict[str, Callable] = {
     "Wheel.radius=.*numbers above 0": lambda: Wheel([0.0, 0.0], radius=0.0),
     "Steering: lag is 0.0.*above zero": lambda: Steering((0,), 0.0),
     "expected rbjax.wheeled.TorqueSource": lambda: wheeled.Drive((0,), 3.0),
-    "at: robot is None": lambda: wheeled.at(None, "kinematical"),
+    "at: robot is None": lambda: wheeled.at(None, "reduced"),
     "unknown fidelity 'nope'": lambda: wheeled.at(KINDS["car"].make(), "nope"),
     "unknown fidelity 3": lambda: wheeled.at(KINDS["car"].make(), 3),
-    "option of 'kinematical' 'tyre'": lambda: wheeled.at(
-        KINDS["car"].make(), "kinematical", tyre=Fiala(1.0, 1.0)
+    "option of 'reduced' 'tyre'": lambda: wheeled.at(
+        KINDS["car"].make(), "reduced", tyre=Fiala(1.0, 1.0)
     ),
 }
 

@@ -30,7 +30,7 @@ def bicycle(**numbers):
 
 def check(r: recommend.FidelityRecommendation, accuracy: float) -> None:
     """The cheapest of the good ones, with its numbers in the sentence."""
-    best = min((x for x in r.candidates if x.ok), key=lambda x: x.cost)
+    best = min((x for x in r.candidates if x.success), key=lambda x: x.cost)
     assert (r.name, r.dt, r.error, r.cost) == (best.name, best.dt, best.error, best.cost)
     assert r.model.name == r.name and r.error <= accuracy
     assert f"{r.name} with steps of {r.dt:.2g} s is off by {r.error:.1e}" in r.reason
@@ -43,18 +43,18 @@ def test_inertia_decides_by_the_lag_of_the_servo(steady_clock) -> None:
     mass = 10.0 + 2 * 2.0 + 2 * (2.0 * r**2 / 2) / r**2
     lag = mass * r**2 / (2 * 0.05)
     behind = speed * r * lag * (1 - np.exp(-1 / lag))
-    rolls = ["kinematic", "kinematical", "dynamical"]
+    rolls = ["kinematic", "reduced", "dynamical"]
     coarse = recommend.fidelity(robot, [speed, speed], 1.1 * behind, among=rolls)
     check(coarse, 1.1 * behind)
     assert coarse.name == "kinematic"
     assert coarse.reason.startswith(
-        "cost decides: kinematical would take 2e+02 us per second of motion; "
+        "cost decides: reduced would take 2e+02 us per second of motion; "
     )
     np.testing.assert_allclose(coarse.error, behind, rtol=1e-3)
     assert np.isnan(coarse.share) and np.isnan(coarse.lifts)
     fine = recommend.fidelity(robot, [speed, speed], 0.9 * behind, among=rolls)
     check(fine, 0.9 * behind)
-    assert fine.name == "kinematical"
+    assert fine.name == "reduced"
     assert fine.reason.startswith(f"inertia decides: kinematic is off by {behind:.1e}")
     equal = [x for x in fine.candidates if x.name != "kinematic"]
     assert {x.name for x in equal} == set(rolls[1:])
@@ -66,7 +66,7 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     speed, angle, friction = 15.0, 0.1, 0.8
     robot, tyre, controls = bicycle(), Fiala(15.0, friction), [speed / 0.3, angle]
     twist = [speed, 0.0, 0.0]
-    among = ["kinematic", "kinematical", "slipping"]
+    among = ["kinematic", "reduced", "slipping"]
     r = recommend.fidelity(robot, controls, 0.05, twist=twist, horizon=2.0, tyre=tyre, among=among)
     check(r, 0.05)
     assert r.name == "slipping"
@@ -75,8 +75,8 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     due = turn * speed / (9.81 * friction)
     np.testing.assert_allclose(r.share, due, rtol=0.05)
     assert due > 1 and f"rolling needs {r.share:.2g} of the traction" in r.reason
-    rolling = next(x for x in r.candidates if x.name == "kinematical")
-    assert r.reason.startswith(f"slip decides: kinematical is off by {rolling.error:.1e}")
+    rolling = next(x for x in r.candidates if x.name == "reduced")
+    assert r.reason.startswith(f"slip decides: reduced is off by {rolling.error:.1e}")
     finest = wheeled.at(robot, "slipping", tyre=tyre)
     start = wheeled.start(finest, twist=twist)
     want = wheeled.simulate(finest, start, [0.0, 2.0], controls, tolerance=1e-9).q[-1, :3]
@@ -84,7 +84,7 @@ def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None
     table = jnp.tile(jnp.array(controls), (steps, 1))
     found = wheeled.rollout(r.model, r.state, table, r.dt, save_every=steps).q[-1, :3]
     assert np.abs(found - want).max() <= 0.05
-    ideal = wheeled.at(robot, "kinematical")
+    ideal = wheeled.at(robot, "reduced")
     there = wheeled.simulate(ideal, wheeled.start(ideal, twist=twist), [0.0, 2.0], controls)
     away = np.hypot(*(there.q[-1, :2] - want[:2]))
     np.testing.assert_allclose(rolling.error, away, rtol=0.02)
@@ -115,7 +115,7 @@ def test_torques_and_a_table_of_them() -> None:
     robot = cart()
     t = np.arange(100) * 0.02
     table = 0.1 * np.stack([np.sin(t), np.cos(t)], -1)
-    rolls = ["kinematic", "kinematical", "dynamical", "quasi_velocities", "constrained"]
+    rolls = ["kinematic", "reduced", "dynamical", "quasi_velocities", "constrained"]
     r = recommend.fidelity(robot, table, 1e-4, dt=0.02, among=rolls)
     check(r, 1e-4)
     assert r.reason.startswith("kinematic is not tried, because drives[0] is a TorqueSource")

@@ -21,7 +21,7 @@ def differential() -> wheeled.RobotModel:
         [Wheel([0.0, -b], radius=r, inertia=J), Wheel([0.0, b], radius=r, inertia=J)],
         [Drive((0,)), Drive((1,))],
     )
-    return wheeled.at(robot, "kinematical")
+    return wheeled.at(robot, "reduced")
 
 
 def omnidirectional() -> wheeled.RobotModel:
@@ -32,10 +32,10 @@ def omnidirectional() -> wheeled.RobotModel:
               kind="rollers")
         for a in angles
     ]  # fmt: skip
-    return wheeled.at(Robot.of(Body(m, I), wheels, [Drive((i,)) for i in range(3)]), "kinematical")
+    return wheeled.at(Robot.of(Body(m, I), wheels, [Drive((i,)) for i in range(3)]), "reduced")
 
 
-def test_differential_robot_by_the_kinematical_approach() -> None:
+def test_reduced_equations_of_the_differential_robot() -> None:
     v, w, tau = 0.7, 1.3, jnp.array([0.3, -0.1])
     vehicle = differential()
     state = wheeled.start(vehicle).replace(v=jnp.array([v, w]))
@@ -101,7 +101,7 @@ def rates_of(x: wheeled.Reduced, v: np.ndarray) -> np.ndarray:
 def test_a_robot_that_steers_on_a_slope(name: str) -> None:
     """Of a robot with a trailer or a caster: the accelerations, and M' - 2 C skew."""
     robot = rb.wheeled.kinds()[name].make()
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     q = 0.3 * jnp.cos(jnp.arange(vehicle.nq, dtype=float))
     state = rb.State(q, 0.4 + 0.3 * jnp.arange(vehicle.nv, dtype=float))
     u = 0.2 * jnp.sin(jnp.arange(vehicle.nu, dtype=float) + 1)

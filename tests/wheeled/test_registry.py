@@ -54,17 +54,17 @@ def rates(fidelity: str, robot: Any, **options: Any) -> Callable:
 
 def terms(of: Callable, robot: Any) -> Callable:
     def found(q, v, u, mass, radius):
-        return of(wheeled.at(changed(robot, mass, radius), "kinematical"), State(q, v), u)
+        return of(wheeled.at(changed(robot, mass, radius), "reduced"), State(q, v), u)
 
     return found
 
 
 def start(pose, twist, mass, radius):
-    return wheeled.start(wheeled.at(changed(TRICYCLE, mass, radius), "kinematical"), pose, twist)
+    return wheeled.start(wheeled.at(changed(TRICYCLE, mass, radius), "reduced"), pose, twist)
 
 
 def rollout(q, v, controls, mass, radius):
-    vehicle = wheeled.at(changed(CART, mass, radius), "kinematical")
+    vehicle = wheeled.at(changed(CART, mass, radius), "reduced")
     return floats(wheeled.rollout(vehicle, State(q, v), controls, DT))
 
 
@@ -79,7 +79,7 @@ def full_model(mass, radius):
 
 
 def full_model_state(q, v, u):
-    vehicle = wheeled.at(cast(TRICYCLE, q), "kinematical")
+    vehicle = wheeled.at(cast(TRICYCLE, q), "reduced")
     return wheeled.full_model_state(vehicle, State(q, v), u, "free")
 
 
@@ -102,7 +102,7 @@ def mean_twists(poses):
 
 
 def tracking_gains(q, v, controls, Q, R):
-    vehicle = wheeled.at(cast(CART, q), "kinematical")
+    vehicle = wheeled.at(cast(CART, q), "reduced")
     return wheeled.tracking_gains(vehicle, State(q, v), controls, DT, Q, R)
 
 
@@ -165,7 +165,7 @@ PATH = np.stack([np.linspace(1, 4, 6), np.linspace(1, 2, 6) ** 2, np.linspace(0.
 ONE = np.asarray(1.0)
 ROLLS = np.array([2.1, 0.2, 2.0])  # the velocity of a wheel, and that of its rim
 REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
-    "rates": (rates("kinematical", TRICYCLE), drawn(q=7, v=1, u=2, **robot(TRICYCLE))),
+    "rates": (rates("reduced", TRICYCLE), drawn(q=7, v=1, u=2, **robot(TRICYCLE))),
     "reduced": (terms(wheeled.reduced, CART), drawn(q=5, v=2, u=2, **robot(CART))),
     "undetermined": (terms(wheeled.undetermined, CART), drawn(q=5, v=2, u=2, **robot(CART))),
     "rates, kinematic": (rates("kinematic", TRICYCLE), drawn(q=7, v=0, u=2, **robot(TRICYCLE))),
@@ -224,7 +224,7 @@ def test_a_batch_of_robots() -> None:
     q, v, u = (x[0] for x in drawn(q=5, v=2, u=2))
 
     def rate(robot):
-        return wheeled.rates(wheeled.at(robot, "kinematical"), State(q, v), u).v
+        return wheeled.rates(wheeled.at(robot, "reduced"), State(q, v), u).v
 
     want = np.stack([rate(robot) for robot in robots])
     np.testing.assert_allclose(jax.vmap(rate)(many), want, rtol=1e-12)

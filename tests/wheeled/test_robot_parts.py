@@ -47,7 +47,7 @@ def test_rolling_resistance_of_loads_at_rest():
 
 
 def test_a_robot_as_a_system_keeps_its_states():
-    vehicle = rb.wheeled.at(UNICYCLE, "kinematical")
+    vehicle = rb.wheeled.at(UNICYCLE, "reduced")
     system = rb.wheeled.controlled(vehicle)
     state = rb.State(jnp.arange(1.0, vehicle.nq + 1), jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx))
     np.testing.assert_array_equal(system.checked("f", state).q, state.q)

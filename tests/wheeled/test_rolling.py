@@ -37,20 +37,20 @@ def omni() -> Robot:
     return Robot.of(Body(p["m"], p["Iz"]), wheels, [Drive((i,)) for i in range(3)])
 
 
-@pytest.mark.parametrize("fidelity", ["kinematical", "dynamical"])
+@pytest.mark.parametrize("fidelity", ["reduced", "dynamical"])
 @pytest.mark.parametrize("case", oracle.DIFFERENTIAL["cases"])
 def test_differential_drive_is_that_of_the_oracle(case, fidelity) -> None:
     torques, v, due = oracle.DIFFERENTIAL["cases"][case]
     cart = wheeled.at(differential(), fidelity)
     path = wheeled.simulate(cart, State(jnp.zeros(5), jnp.array(v)), [0.0, 5.0], torques, **SOLVED)
-    assert path.ok
+    assert path.success
     np.testing.assert_allclose([*path.q[-1], *path.v[-1]], due, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("case", oracle.OMNI["cases"])
 def test_omnidirectional_robot_is_that_of_the_oracle(case) -> None:
     torques, v, due = oracle.OMNI["cases"][case]
-    robot = wheeled.at(omni(), "kinematical")
+    robot = wheeled.at(omni(), "reduced")
     path = wheeled.simulate(robot, State(jnp.zeros(6), jnp.array(v)), [0.0, 5.0], torques, **SOLVED)
     np.testing.assert_allclose([*path.q[-1, :3], *path.v[-1]], due, rtol=1e-10, atol=1e-10)
 
@@ -59,7 +59,7 @@ def test_a_blade_without_wheels_is_chaplygins_sleigh() -> None:
     (m, inertia, a), v, due = oracle.SLEIGH
     sleigh = Robot.of(Body(m, inertia, [a, 0.0]), [Wheel([0.0, 0.0])])
     start = State(jnp.array([-a, 0.0, 0.0, 0.0]), jnp.array(v))
-    path = wheeled.simulate(wheeled.at(sleigh, "kinematical"), start, [0.0, 5.0], **SOLVED)
+    path = wheeled.simulate(wheeled.at(sleigh, "reduced"), start, [0.0, 5.0], **SOLVED)
     found = [*path.v[-1], path.q[-1, 2], *path.q[-1, :2]]
     np.testing.assert_allclose(found, due, rtol=1e-10, atol=1e-10)
 
@@ -82,7 +82,7 @@ def test_energy_by_substituted_constraints_gives_the_wrong_motion() -> None:
     p = oracle.OMNI["numbers"]
     mu = 3 * p["Iw"] / (2 * p["r"] ** 2)
     v = jnp.array([1.0, 0.0, 2.0])
-    rate = wheeled.rates(wheeled.at(omni(), "kinematical"), State(jnp.zeros(6), v), jnp.zeros(3)).v
+    rate = wheeled.rates(wheeled.at(omni(), "reduced"), State(jnp.zeros(6), v), jnp.zeros(3)).v
     right = -p["m"] * v[2] * v[0] / (p["m"] + mu)
     assert abs(rate[1] - right) < 1e-12
     assert abs(rate[1] + v[2] * v[0]) > 0.1  # what the substituted energy gives
@@ -101,7 +101,7 @@ def random_state(vehicle, seed: int) -> tuple[State, jax.Array]:
 def test_all_reductions_agree(kind) -> None:
     """Newton-Euler projected, multipliers eliminated, and energies by Boltzmann and Hamel."""
     robot = on_a_slope(kind, behind=0.6)
-    ours = wheeled.at(robot, "kinematical")
+    ours = wheeled.at(robot, "reduced")
     for seed in range(3):
         state, u = random_state(ours, seed)
         a = np.asarray(wheeled.rates(ours, state, u).v)
@@ -117,7 +117,7 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
     """T' + U' = sum of torque times speed, with casters, trailers and Ackermann's geometry; the
     steering stands, as what turns it would add power."""
     robot = on_a_slope(kind, behind=0.6)
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     state, u = random_state(vehicle, 7)
     u = u.at[len(robot.drives) :].set(0.0)
 
@@ -138,7 +138,7 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
 
 @pytest.mark.parametrize("kind", SOME)
 def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
-    vehicle = wheeled.at(wheeled.kinds()[kind].make(), "kinematical")
+    vehicle = wheeled.at(wheeled.kinds()[kind].make(), "reduced")
     state, u = random_state(vehicle, 3)
     context = vehicle.context(state, u)
     n = context.n
@@ -149,7 +149,7 @@ def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
 @pytest.mark.parametrize("kind", ["differential_drive", "mecanum", "car", "tractor_trailers"])
 def test_what_holds_the_wheels_does_no_work(kind) -> None:
     """On any motion that wheels allow; and of a turn at constant speed it is m v w, to the left."""
-    vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "kinematical")
+    vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "reduced")
     state, u = random_state(vehicle, 5)
     context = vehicle.context(state, u)
     n = context.n
@@ -160,7 +160,7 @@ def test_what_holds_the_wheels_does_no_work(kind) -> None:
         scale = np.abs(held * basis).max()
         assert abs(held @ basis) <= 1e-13 * max(1.0, scale)
     cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None, com=(0.0, 0.0)),
-                      "kinematical")  # fmt: skip
+                      "reduced")  # fmt: skip
     context = cart.context(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
     n = context.n
     np.testing.assert_allclose(cart.ground_forces(context)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
@@ -193,7 +193,7 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
     """Free velocities are ahead all the same; in f32, too, pi is the direction opposite to 0."""
     back = dtype(np.pi)
     wheels = [Wheel([0.0, 0.2], back), Wheel([0.0, -0.2], dtype(0.0))]
-    cart = wheeled.at(Robot.of(Body(1.0, 1.0), wheels), "kinematical")
+    cart = wheeled.at(Robot.of(Body(1.0, 1.0), wheels), "reduced")
     assert cart.robot.arrangement.mobility == 2
     state = wheeled.start(cart, twist=[0.5, 0.0, 0.5])
     np.testing.assert_allclose(state.v, [0.5, 0.5], rtol=1e-6)
@@ -203,7 +203,7 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
     car = Robot.of(Body(1.0, 1.0), [*wheels, *front], [], [Steering((2, 3))])
     found = wheeled.commands(car, [1.0, 0.0, 0.3])
     np.testing.assert_allclose(found.angles, np.arctan(0.6), rtol=1e-6)
-    vehicle = wheeled.at(car, "kinematical")
+    vehicle = wheeled.at(car, "reduced")
     state = wheeled.start(vehicle)
     state = state.replace(q=state.q.at[3].set(np.arctan(0.6)), v=jnp.ones(1))
     context = vehicle.context(state)
@@ -226,7 +226,7 @@ def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     """Ackermann: each front wheel is across the line from the centre of the turn to its hub."""
     from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 
-    vehicle = wheeled.at(wheeled.kinds()["car"].make(), "kinematical")
+    vehicle = wheeled.at(wheeled.kinds()["car"].make(), "reduced")
     state = wheeled.start(vehicle, twist=[3.0, 0.0, 0.0])
     state = State(state.q.at[3].set(0.5), state.v)
     context = vehicle.context(state)
@@ -246,7 +246,7 @@ def test_gradients_of_a_manoeuvre_with_respect_to_every_number() -> None:
     u = jnp.tile(jnp.array([300.0, 0.05]), (20, 1))
 
     def end(robot):
-        car = wheeled.at(robot, "kinematical")
+        car = wheeled.at(robot, "reduced")
         state = State(jnp.zeros(car.nq).at[3].set(0.1), jnp.array([2.0]))
         return wheeled.rollout(car, state, u, 0.05).q[-1, :3].sum()
 
@@ -265,7 +265,7 @@ def test_gradients_of_a_manoeuvre_with_respect_to_every_number() -> None:
 
 
 def test_a_batch_is_its_samples_and_controls_may_be_a_function() -> None:
-    cart = wheeled.at(differential(), "kinematical")
+    cart = wheeled.at(differential(), "reduced")
     one = wheeled.start(cart, twist=[0.5, 0.0, 0.2])
     many = jax.tree.map(lambda x: jnp.stack([x, 2 * x, 3 * x]), one)
     u = jnp.full((6, 2), 0.1)
@@ -280,9 +280,9 @@ def test_a_batch_is_its_samples_and_controls_may_be_a_function() -> None:
 
 
 def test_bad_arguments_are_named() -> None:
-    cart = wheeled.at(differential(), "kinematical")
+    cart = wheeled.at(differential(), "reduced")
     state = wheeled.start(cart)
-    with pytest.raises(UnknownName, match="kinematical"):
+    with pytest.raises(UnknownName, match="reduced"):
         wheeled.at(differential(), "kinematics")
     with pytest.raises(UnknownName, match="rk4"):
         wheeled.rollout(cart, state, jnp.zeros((2, 2)), 0.1, integrator="rk5")

@@ -23,7 +23,7 @@ def test_stiff_tyres_roll_without_slip(kind) -> None:
     """As the stiffness grows ten times, the distance from the ideal motion falls ten times."""
     robot = KINDS[kind].make(**({} if kind == "omni_3" else {"caster": None}))
     u = jnp.array([0.06, 0.05, 0.02][: robot.nu])
-    ideal = wheeled.at(robot, "kinematical")
+    ideal = wheeled.at(robot, "reduced")
     twist = [0.4, 0.0, 0.3]
     due = wheeled.simulate(ideal, wheeled.start(ideal, twist=twist), [0.0, 0.5], u).q[-1, :3]
     apart = []

@@ -40,7 +40,7 @@ def torques(turn):
 def off(law, shape, turn, dt=DT, width=0.25):
     """The largest distance from the chassis that rolls, and the last state."""
     robot = KINDS["differential_drive"].make()
-    rolling, u = wheeled.at(robot, "kinematical"), torques(turn)
+    rolling, u = wheeled.at(robot, "reduced"), torques(turn)
     start = wheeled.start(rolling, twist=[0.4, 0.0, 0.0])
     ours = wheeled.simulate(
         rolling, start, jnp.linspace(0, SECONDS, 11), lambda t, s: u(t), tolerance=1e-10
@@ -178,7 +178,7 @@ def test_rolling_friction_of_contacts_is_rolling_resistance(law):
     Under "mujoco" the light fork of the caster sinks in, and the robot leans.
     """
     robot = resisting()
-    rolling = wheeled.at(robot, "kinematical")
+    rolling = wheeled.at(robot, "reduced")
     start = wheeled.start(rolling, twist=[0.5, 0.0, 0.0])
     full = wheeled.full_model_state(rolling, start, base="free")
     model = loaded(robot, resistance="contacts")

@@ -161,7 +161,7 @@ def test_rolling_resistance_brakes():
     resistance = wheeled.RollingResistance(0.02)
     robot = KINDS["differential_drive"].make().replace(resistance=resistance)
     m = opened(robot, impratio=100.0)
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     start = wheeled.start(vehicle, twist=[0.5, 0.0, 0.0])
     full = wheeled.full_model_state(vehicle, start, base="free")
     d = mujoco.MjData(m)
@@ -178,7 +178,7 @@ def test_rolling_resistance_brakes():
 def test_states_of_the_full_model_agree(name):
     """One motion on all three bases: of one energy, on the rows."""
     robot = KINDS[name].make()
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     state = wheeled.start(vehicle, pose=[0.3, -0.2, 0.7], twist=[2.0, 0.0, 0.1])
     state = state.replace(q=state.q.at[3 : robot.layout.casters.stop].set(0.2))
     u = jnp.zeros(2).at[len(robot.drives) :].set(0.15)
@@ -198,7 +198,7 @@ def test_states_of_the_full_model_agree(name):
 
 def rolled(robot, u, seconds, time_constant, **given):
     """x, y at the end in MuJoCo, from 0.4 m/s ahead."""
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     start = wheeled.start(vehicle, twist=[0.4, 0.0, 0.0])
     full = wheeled.full_model_state(vehicle, start, base="free")
     m = opened(robot, timestep=time_constant / 4, solref=(time_constant, 1.0), **given)
@@ -309,7 +309,7 @@ def test_a_robot_read_from_its_own_file_is_that_robot(name, roles):
 def test_in_a_curve_wheels_slide_outwards_at_the_rate_that_mujoco_leaves_out():
     """J v' = -b J v without J' v: across the rear axle, speed * turning rate * d T / 2."""
     robot, T, d_w = KINDS["car"].make(), 0.01, 0.95
-    vehicle = wheeled.at(robot, "kinematical")
+    vehicle = wheeled.at(robot, "reduced")
     start = wheeled.start(vehicle)
     start = with_twist(vehicle, start.q.at[3].set(0.1), jnp.array([3.0, 0.0, 0.0]))
     full = wheeled.full_model_state(vehicle, start, base="free")

@@ -65,7 +65,7 @@ def parking_a_trailer(size: Size) -> Frames:
     out = wheeled.at(rig, "kinematic")
     path = wheeled.rollout(out, wheeled.start(out), outwards, dt, steps=steps)
     given = jax.vmap(outwards)(path.ts[:-1], rb.State(path.q[:-1], path.v[:-1]))
-    controls, model = -given[::-1], wheeled.at(rig, "kinematical")
+    controls, model = -given[::-1], wheeled.at(rig, "reduced")
     speeds = jnp.append(controls[:, 0] * rig.wheels[0].radius, 0.0)
     reference = rb.State(path.q[::-1], speeds[:, None])
     weights = jnp.array([1.0, 1.0, 10.0, 10.0, 1.0] + [0.0] * (model.nq - 5) + [0.1])

@@ -44,8 +44,8 @@ class DifferentialAlgebraic(Method):
     """Base class of methods whose equations are solved by implicit steps.
 
     The integrator is Radau IIA of three stages, or another implicit one of `rollout` or `simulate`.
-    If the equations of a step are not solved, `Trajectory.ok` is False, and adaptive steps become
-    shorter. Called as a `Dynamics`, the method returns the accelerations of index 1.
+    If the equations of a step are not solved, `Trajectory.success` is False, and adaptive steps
+    become shorter. Called as a `Dynamics`, the method returns the accelerations of index 1.
 
     Example:
         >>> import rbjax as rb

@@ -120,7 +120,7 @@ class Recursive(Method):
         >>> model = rb.load("four_bar")
         >>> start = model.default_state()
         >>> path = rb.rollout(model, start, None, 1e-3, steps=9, constraints="recursive")
-        >>> path.ok
+        >>> path.success
         Array(True, dtype=bool)
     """
 

@@ -218,7 +218,7 @@ class MoreauContact(Record):
             rows=rows,
             iterations=jnp.int32(self.sweeps),
             error=step.residual,
-            converged=step.residual <= self.solver_tolerance(a.dtype),
+            success=step.residual <= self.solver_tolerance(a.dtype),
             sources=sources,
         )
 

@@ -89,7 +89,7 @@ class JointLimits(Element):
         return Loads(out)
 
     # No `slopes`: with them, variational steps much longer than sqrt(m / k) converge to a
-    # rebound that gains speed. Without them they do not converge, and `Trajectory.ok` is False.
+    # rebound that gains speed. Without them they fail, and `Trajectory.success` is False.
 
     def energy(self, context: Context) -> Lane:
         """Compute the potential energy of the stops, J."""

@@ -66,9 +66,7 @@ def check_can_follow(where: str, model: Any, limits: Any) -> None:
     The robot must roll and have inertia. Its motors must be torque sources, with at least as many
     drives as free velocities. Its steerings must have no lag and a finite rate limit.
     """
-    public = (
-        'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "kinematical") gives it'
-    )
+    public = 'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "reduced") gives it'
     instance(where, "model", model, Rolling, public)
     instance(where, "limits", limits, Limits, "rbjax.planning.Limits")
     robot = model.robot

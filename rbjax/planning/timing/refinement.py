@@ -128,7 +128,7 @@ def refine(
     The time has derivatives by limits and by parameters of the robot, in forward mode.
 
     Args:
-        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "reduced")`.
             It starts at rest, with steerings and trailers straight, and ends at rest.
         path: one `Path` of the chassis in short steps, as from `Path.split` or `smooth`. Its end is
             the goal. Use `jax.vmap` for many.
@@ -155,7 +155,7 @@ def refine(
     Example:
         >>> import rbjax as rb
         >>> robot = rb.wheeled.kinds()["differential_drive"].make(caster=None)
-        >>> cart = rb.wheeled.at(robot, "kinematical")
+        >>> cart = rb.wheeled.at(robot, "reduced")
         >>> corner = Path([0.0, 0.0, 0.0], [[1.0, 0, 0], [0, 0, 1.5], [1.0, 0, 0]]).split(0.1)
         >>> quick = refine(cart, corner, Limits(torque=0.4, speed=1.0), intervals=20, iterations=9)
         >>> quick.status, bool(quick.motion.time < 0.6 * quick.start_time)

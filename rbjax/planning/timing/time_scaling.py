@@ -59,7 +59,7 @@ def time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     corners are rounded less, and the motion is slower.
 
     Args:
-        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "kinematical")`.
+        model: a model of a rolling robot with torque sources, `wheeled.at(robot, "reduced")`.
             It starts with its steerings and trailers straight.
         path: one `Path` of the chassis. It may be padded by steps of zeros. Use `jax.vmap` for
             many.
@@ -79,7 +79,7 @@ def time_scaling(model: RobotModel, path: Path, limits: Limits) -> TimeScaled:
     Example:
         >>> import rbjax as rb
         >>> robot = rb.wheeled.kinds()["differential_drive"].make(caster=None)
-        >>> cart = rb.wheeled.at(robot, "kinematical")
+        >>> cart = rb.wheeled.at(robot, "reduced")
         >>> ahead = Path([0.0, 0.0, 0.0], [[2.0, 0.0, 0.0]]).split(0.1)
         >>> found = time_scaling(cart, ahead, Limits(torque=0.4, speed=1.0))
         >>> found.status, round(float(found.motion.time), 2)

@@ -187,7 +187,7 @@ def full_model_state(
     Example:
         >>> import rbjax as rb
         >>> from rbjax import wheeled
-        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> state = wheeled.start(cart, twist=[0.4, 0.0, 0.0])
         >>> full = wheeled.full_model_state(cart, state, base="free")
         >>> full.q.shape, [round(x, 3) for x in full.v[6:8].tolist()]

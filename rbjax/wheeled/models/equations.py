@@ -8,7 +8,7 @@ With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of the rotors,
 
 M_k is the inertia of a body about its own origin, in its own axes, and C_k = w x (momentum). This
 is the principle of virtual power (Jourdain; Kane).
-(Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8, the kinematical approach)
+(Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The terms of the equations of motion of a rolling robot.
 
-    kinematical approach   w = S nu,    M nu' + C nu = B tau + f
-    dynamical approach     A w = 0,     M w' + C w = B tau + f + A^T l
+    reduced equations      w = S nu,    M nu' + C nu = B tau + f
+    with multipliers       A w = 0,     M w' + C w = B tau + f + A^T l
 w are the full velocities, and nu the free velocities of rolling wheels. M' - 2 C is skew. With J
 the Jacobians of the bodies' twists and p their momenta,
 
@@ -89,10 +89,10 @@ class Undetermined(NamedTuple):
 
 
 def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
-    """Compute the terms of the reduced equations of motion (the kinematical approach).
+    """Compute the terms of the reduced equations of motion.
 
     Args:
-        model: a model of a rolling robot, `at(robot, "kinematical")`.
+        model: a model of a rolling robot, `at(robot, "reduced")`.
         state: q (nq,), v = nu (nv,).
         ctrl: (nu,), the controls as for `rates`; zeros if None.
 
@@ -106,7 +106,7 @@ def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
 
     Example:
         >>> import rbjax as rb
-        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> terms = rb.wheeled.reduced(cart, rb.wheeled.start(cart))
         >>> terms.M.shape, terms.S.shape[1]
         ((2, 2), 2)
@@ -121,7 +121,7 @@ def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined
     The rolling constraints are not eliminated (the dynamical approach). w are all velocities.
 
     Args:
-        model: a model of a rolling robot, `at(robot, "kinematical")`.
+        model: a model of a rolling robot, `at(robot, "reduced")`.
         state: q (nq,), v = nu (nv,).
         ctrl: (nu,), the controls as for `rates`; zeros if None.
 
@@ -135,7 +135,7 @@ def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined
 
     Example:
         >>> import rbjax as rb
-        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> terms = rb.wheeled.undetermined(cart, rb.wheeled.start(cart))
         >>> terms.A.shape[0] == terms.multipliers.shape[0]
         True
@@ -145,7 +145,7 @@ def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined
 
 def _checked(where: str, model: Any, state: Any, ctrl: Any) -> tuple[State, jax.Array]:
     check_robot_model(where, model)
-    public = 'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "kinematical")'
+    public = 'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "reduced")'
     instance(where, "model", model, Rolling, public)
     return check_state_and_controls(where, model, state, ctrl)
 

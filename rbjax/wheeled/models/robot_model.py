@@ -131,7 +131,7 @@ def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any
 
 def check_robot_model(where: str, model: Any) -> None:
     """Raise `InputError` unless `model` is a `RobotModel`."""
-    public = 'a robot at a fidelity, as rbjax.wheeled.at(robot, "kinematical") gives it'
+    public = 'a robot at a fidelity, as rbjax.wheeled.at(robot, "reduced") gives it'
     instance(where, "model", model, RobotModel, public)
 
 
@@ -184,7 +184,7 @@ def start(model: RobotModel, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
     Example:
         >>> import rbjax as rb
         >>> from rbjax import wheeled
-        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> [round(x, 6) for x in wheeled.start(cart, twist=[0.5, 0.0, 0.2]).v.tolist()]
         [0.5, 0.2]
     """
@@ -222,7 +222,7 @@ def rates(model: RobotModel, state: State, ctrl: Any) -> State:
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax import wheeled
-        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> rate = wheeled.rates(cart, wheeled.start(cart), jnp.array([0.3, 0.3]))
         >>> bool(rate.v[0] > 0)
         True

@@ -1,10 +1,10 @@
 """Fidelities whose wheels roll and do not slide sideways.
 
     kinematic          v is empty: the speeds of the motors determine the motion
-    kinematical        v = nu, the free velocities: the equations are projected by w = S nu
+    reduced            v = nu, the free velocities: the equations are projected by w = S nu
     dynamical          v = nu: multipliers are eliminated from the equations of all velocities
     quasi_velocities   v = nu: the Boltzmann-Hamel equations
-The last three compute the same motion. "kinematical" is the cheapest of them.
+The last three compute the same motion. "reduced" is the cheapest of them.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class Rolling(RobotModel):
         return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
 
-class Kinematical(Rolling):
-    """Equations of motion projected on the free velocities (the kinematical approach).
+class ReducedModel(Rolling):
+    """Equations of motion projected on the free velocities.
 
         (S^T M S) nu' = S^T (f - M S' nu),   w = S nu
 
@@ -111,12 +111,12 @@ class Kinematical(Rolling):
 
     Example:
         >>> import rbjax as rb
-        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> cart.nv, cart.nu
         (2, 2)
     """
 
-    name: ClassVar[str] = "kinematical"
+    name: ClassVar[str] = "reduced"
 
     def accelerations(self, context: RobotContext) -> list[Lane]:
         return self._equations(context, self.full_velocities(context)).accelerations

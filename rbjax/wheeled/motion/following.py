@@ -31,7 +31,7 @@ from rbjax.wheeled.kinematics.velocities import (
     rolling_velocities,
 )
 from rbjax.wheeled.models.robot_model import RobotModel, check_robot_model
-from rbjax.wheeled.models.rolling import Kinematical
+from rbjax.wheeled.models.rolling import ReducedModel
 from rbjax.wheeled.motion.control_system import RobotSystem
 from rbjax.wheeled.robot.robot import Robot
 
@@ -113,7 +113,7 @@ def commands(robot: Robot, twist: Any) -> Commands:
 @compiled
 def _commands(robot: Robot, twist: jax.Array) -> Commands:
     dtype = twist.dtype
-    model = Kinematical(robot)
+    model = ReducedModel(robot)
     context = model.context(State(jnp.zeros(model.nq, dtype), jnp.zeros(model.nv, dtype)))
     n = context.n
     V = Twist(*(twist[i] for i in range(3)))
@@ -319,7 +319,7 @@ def tracking_gains(
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax import wheeled
         >>> robot = wheeled.kinds()["differential_drive"].make(caster=None)
-        >>> cart = wheeled.at(robot, "kinematical")
+        >>> cart = wheeled.at(robot, "reduced")
         >>> u = jnp.zeros((5, 2))
         >>> path = wheeled.rollout(cart, wheeled.start(cart, twist=[0.5, 0.0, 0.0]), u, 0.1)
         >>> Q = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.1, 0.1])

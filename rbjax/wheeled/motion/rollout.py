@@ -134,8 +134,8 @@ def rollout(
         save_every: the number of steps between saved states; it must divide the number of steps.
 
     Returns:
-        `Trajectory` of 1 + steps / save_every states, the first the initial one. `ok` is true if
-        all values are finite.
+        `Trajectory` of 1 + steps / save_every states, the first the initial one. `success` is
+        true if all values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, a step that is not positive.
@@ -147,7 +147,7 @@ def rollout(
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax import wheeled
-        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> wheeled.rollout(cart, wheeled.start(cart), jnp.full((10, 2), 0.1), 0.01).q.shape
         (11, 7)
     """
@@ -248,7 +248,7 @@ def simulate(
         max_steps: the largest number of steps.
 
     Returns:
-        `Trajectory` at ts. `ok` is true if the solver succeeded and all values are finite.
+        `Trajectory` at ts. `success` is true if the solver succeeded and all values are finite.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, times that do not increase.
@@ -258,7 +258,7 @@ def simulate(
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax import wheeled
-        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "reduced")
         >>> wheeled.simulate(cart, wheeled.start(cart), jnp.array([0.0, 1.0]), [0.1, 0.1]).v.shape
         (2, 2)
     """

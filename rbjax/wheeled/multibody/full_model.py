@@ -219,7 +219,7 @@ def _needs_inertia(what: str, x: Lane) -> None:
     if is_literal(x) and not x > 0:
         raise InputError(
             f"full_model: {what} is {x}, expected above zero, because each body has its own "
-            "motion; give it an inertia, or use a reduced fidelity, such as 'kinematical'"
+            "motion; give it an inertia, or use a reduced fidelity, such as 'reduced'"
         )
 
 
