@@ -269,7 +269,7 @@ def test_in_single_precision_and_as_a_thread():
         ({"radius": 0.0}, r"radius=...\): got 0.0, expected numbers above 0.0"),
         ({"stiffness": [1.0, 2.0]}, r"stiffness=...\): got the shape \(2,\), expected a number"),
         ({"damping": -1.0}, r"damping=...\): got -1.0, expected numbers of at least 0.0"),
-        ({"a": "floor"}, "a is str, expected a Place"),
+        ({"a": "floor"}, "a is 'floor', expected a Place"),
     ],
 )
 def test_bad_fields(fields, said):
