@@ -181,8 +181,9 @@ def _trajectory_of(path: Path, found: dict[str, np.ndarray]) -> Trajectory:
     if (np.diff(ts) < 0).any():
         raise InputError(f"{where}: ts decreases, expected increasing times")
     arrays = {name: jnp.asarray(part) for name, part in parts.items()}
-    q, v, x = arrays["q"], arrays["v"], arrays.get("x")
-    return Trajectory(jnp.asarray(ts), q, v, jnp.asarray(success), x=x)
+    return Trajectory(
+        jnp.asarray(ts), arrays["q"], arrays["v"], jnp.asarray(success), x=arrays.get("x")
+    )
 
 
 def _text(model: Model) -> str:
