@@ -226,16 +226,48 @@ def instance(where: str, name: str, value: Any, kind: Any, public: str) -> None:
         raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
 
 
+def batch_shape(where: str, shape: Any) -> tuple[int, ...]:
+    """Convert a value to the shape of a batch: a tuple of integers of at least 0, below 2**31."""
+    if not isinstance(shape, tuple | list) or len(shape) > 32:
+        raise InputError(f"{where}: shape is {shown(shape)}, expected a tuple of integers")
+    found = tuple(integer(where, f"shape[{k}]", n, least=0) for k, n in enumerate(shape))
+    if math.prod(found) >= 2**31:
+        raise InputError(f"{where}: shape is {shown(shape)}, expected fewer than 2**31 samples")
+    return found
+
+
+def file_path(where: str, path: str | os.PathLike[str]) -> Path:
+    """Convert a value to a path.
+
+    Raises:
+        InputError: neither a text nor a path, or an empty text.
+    """
+    if not isinstance(path, str | os.PathLike) or not os.fspath(path):
+        raise InputError(f"{where}: path is {shown(path)}, expected the path of a file")
+    return Path(path)
+
+
+def random_key(where: str, key: Any) -> None:
+    """Raise InputError unless a value is a key of `jax.random`."""
+    is_key = isinstance(key, jax.Array) and (
+        jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or (key.dtype == jnp.uint32 and key.ndim)
+    )
+    if not is_key:
+        raise InputError(
+            f"{where}: key is {shown(key)}, expected a key of jax.random, such as jax.random.key(0)"
+        )
+
+
 def existing_file(where: str, path: str | os.PathLike[str]) -> Path:
     """Check that a file exists, and return its path.
 
     Raises:
         InputError: no such file. The message lists the files of that suffix in the folder.
     """
+    path = file_path(where, path)
     try:
-        path = Path(path)
         exists = path.is_file()
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         text = f"{str(path)[:60]!r} ({type(error).__name__})"
         raise InputError(f"{where}: path is {text}, expected the path of a file") from error
     if not exists:

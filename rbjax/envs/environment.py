@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, instance, integer
+from rbjax.arguments import flag, instance, integer, random_key
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.problem import Problem
 from rbjax.display import displayed
@@ -32,7 +32,6 @@ from rbjax.envs.optimal_control import deterministic_step, parts_read, task_prob
 from rbjax.envs.task import Task
 from rbjax.envs.task_table import environment_display
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key
 from rbjax.meshes import automatic, on_auto_axes, on_explicit_axes
 from rbjax.model import Model
 
@@ -381,7 +380,7 @@ def _with_last(f: Callable, params: Params, own: tuple) -> Any:
 
 def _data(where: str, key: Any) -> jax.Array:
     """Return the two integers of a key: threads do not take typed keys."""
-    check_key(where, key)
+    random_key(where, key)
     data = jax.random.key_data(key)
     if data.ndim != 1:
         raise InputError(

@@ -20,7 +20,7 @@ def known_array(x: Any) -> np.ndarray | None:
 
 def check_several(where: str, name: str, given: Any, expected: str) -> tuple:
     """Return the entries of an iterable as a tuple; raise InputError for a string."""
-    if isinstance(given, str) or not isinstance(given, Iterable):
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
         raise InputError(f"{where}: {name} is {given!r}, expected a list of {expected}")
     return tuple(given)
 
@@ -62,15 +62,4 @@ def check_rotation(where: str, R: Any) -> None:
         raise InputError(
             f"{where}: rotation is not a rotation matrix (R R^T - 1 has an entry {off:.2g}, det "
             f"{det:.2g}); rbjax.rotations.so3.project gives the nearest"
-        )
-
-
-def check_key(where: str, key: Any) -> None:
-    """Raise InputError unless key is a key of `jax.random`."""
-    is_key = isinstance(key, jax.Array) and (
-        jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or (key.dtype == jnp.uint32 and key.ndim)
-    )
-    if not is_key:
-        raise InputError(
-            f"{where}: key is {key!r}, expected a key of jax.random, such as jax.random.key(0)"
         )

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import check_positive, flag, integer
+from rbjax.arguments import check_positive, flag, integer, random_key
 from rbjax.compiler import compile_threads, kernels_available
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
@@ -36,7 +36,6 @@ from rbjax.dynamics.arguments import (
 )
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key
 from rbjax.kinematics.goals import Goal, body_of, errors
 from rbjax.kinematics.joint_ranges import Ranges, random_configurations
 from rbjax.kinematics.restarts import InverseKinematics, search
@@ -128,7 +127,7 @@ def inverse_kinematics(
     weighting = _pair("weights", weights, dtype)
     within = _pair("tolerance", tolerance, dtype)
     key = jax.random.key(0) if key is None else key
-    check_key(WHERE, key)
+    random_key(WHERE, key)
     limits = flag(WHERE, "limits", limits)
     args = (model, goals, given["start"], given["posture"], key, weighting, within)
     inside = split_tracers(args)[0] and inside_jit()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import existing_file, instance, real_array
+from rbjax.arguments import existing_file, file_path, instance, real_array
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, RbjaxError
 from rbjax.loading.loader import load
@@ -65,10 +65,10 @@ def save_trajectory(
         >>> rb.loading.load_trajectory(file).trajectory.q.shape
         (21, 1)
     """
-    path = Path(path)
+    path = file_path("save_trajectory", path)
     check_model("save_trajectory", model)
     instance("save_trajectory", "trajectory", trajectory, Trajectory, "rb.Trajectory")
-    if path.suffix != ".npz" or not path.absolute().parent.is_dir():
+    if path.suffix != ".npz" or path.is_dir() or not path.absolute().parent.is_dir():
         raise InputError(
             f"save_trajectory: path is {str(path)!r}, expected a name that ends in .npz, in a "
             "folder that exists"
@@ -79,6 +79,8 @@ def save_trajectory(
             f"entries, expected {model.nq} and {model.nv} for this model: give the model that made "
             "the trajectory"
         )
+    if source is not None:
+        instance("save_trajectory", "source", source, str | Path, "a path, a scene or XML text")
     given = "" if source is None else str(source)
     if given and not given.lstrip().startswith("<"):
         file = read_text(source)[1]

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import check_positive
+from rbjax.arguments import file_path
 from rbjax.contact import ContactForces
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import movie_files, offscreen
+from rbjax.plotting.arguments import check_film, check_size
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import Stage, shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
@@ -92,9 +93,15 @@ def animate(
         >>> rb.plotting.animate(model, run, file).name
         'swing.html'
     """
-    path, trace = Path(path), (trace,) if isinstance(trace, str) else tuple(trace)
+    path = file_path("animate", path)
     writable(path)
-    _check(fps, speed, samples, renderer, source)
+    check_film(
+        "animate", model, trajectory, fps=fps, speed=speed, samples=samples, camera=camera,
+        follow=follow, tracked=tracked, trace=trace, title=title, floating_base=floating_base,
+    )  # fmt: skip
+    trace = (trace,) if isinstance(trace, str) else tuple(trace)
+    _check(renderer, source)
+    check_size("animate", size)
     ts, q = frames(model, trajectory, fps, speed, samples)
     shapes = shapes_of(model, source, floating_base)
     options: Any = {"camera": camera, "follow": follow, "tracked": tracked, "trace": trace}
@@ -118,9 +125,8 @@ def writable(path: Path) -> None:
     movie_files.check("animate", path, SUFFIXES)
 
 
-def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -> None:
-    check_positive("animate", fps=fps, speed=speed, samples=samples)
-    if renderer not in RENDERERS:
+def _check(renderer: str, source: Any) -> None:
+    if not isinstance(renderer, str) or renderer not in RENDERERS:
         raise InputError(f"animate: renderer {renderer!r}, expected one of {', '.join(RENDERERS)}")
     if renderer == "mujoco" and source is None:
         raise InputError("animate: renderer 'mujoco' draws a robot file: give it as source=")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_array, real_number
+from rbjax.arguments import choice, flag, instance, integer, real_array, real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -30,6 +30,36 @@ def configurations(where: str, model: Model, q: Any) -> np.ndarray:
     if x.ndim != 2 or x.shape[1] != model.nq:
         raise InputError(f"{where}: q has shape {x.shape}, expected (T, {model.nq})")
     return x
+
+
+def check_film(
+    where: str, model: Any, trajectory: Any, *, fps: Any, speed: Any, samples: Any, camera: Any,
+    follow: Any, tracked: Any, trace: Any, title: Any, floating_base: Any,
+) -> None:  # fmt: skip
+    """Raise InputError unless these are arguments of an animation of a trajectory."""
+    check_model(where, model)
+    instance(where, "trajectory", trajectory, Trajectory, "rb.Trajectory, of rollout or simulate")
+    for name, x in (("fps", fps), ("speed", speed)):
+        real_number(where, name, x, above=0.0)
+    integer(where, "samples", samples, least=1)
+    if camera is not None and not hasattr(camera, "axes"):
+        raise InputError(f"{where}: camera is {shown(camera)}, expected an rb.plotting.Camera")
+    if follow is not None:
+        flag(where, "follow", follow)
+    flag(where, "floating_base", floating_base)
+    instance(where, "title", title, str, "a text")
+    known = model.body_names
+    several = trace if isinstance(trace, tuple | list) else [trace]
+    for name in [*several, *([] if tracked is None else [tracked])]:
+        choice("body", name, known)
+
+
+def check_size(where: str, size: Any) -> None:
+    """Raise InputError unless a size is a width and a height in pixels."""
+    if not isinstance(size, tuple | list) or len(size) != 2:
+        raise InputError(f"{where}: size is {shown(size)}, expected (width, height) in pixels")
+    for n in size:
+        integer(where, "size", n, least=1)
 
 
 def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[Any, Any]:

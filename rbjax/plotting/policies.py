@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import contact as contacts_of
-from rbjax.arguments import instance, integer, real_number
+from rbjax.arguments import file_path, instance, integer, real_number
 from rbjax.contact import ContactForces
 from rbjax.display import displayed
+from rbjax.dynamics.arguments import check_takes
 from rbjax.envs import Environment, EnvState, Params
 from rbjax.envs.actions import action_center_and_scale
 from rbjax.envs.batch_step import batch_step
-from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.animation import animate, writable
@@ -79,12 +79,14 @@ def record_policy(
         (3, 2)
     """
     instance("record_policy", "env", env, Environment, "rb.envs.Environment")
-    if policy is not None and not callable(policy):
-        raise InputError(
-            f"record_policy: policy is {type(policy).__name__}, expected a function of an "
-            "observation and a key, or None for random actions"
-        )
+    if policy is not None:
+        check_takes("record_policy", "policy", policy, "observation", "key")
     samples = integer("record_policy", "samples", samples, least=1)
+    integer("record_policy", "seed", seed)
+    if params is not None:
+        instance(
+            "record_policy", "params", params, Params, "Params, as env.default_params, or None"
+        )
     longest = min(env.episode * env.dt, 10.0) if seconds is None else seconds
     least = real_number("record_policy", "seconds", longest, least=0.0)
     steps = max(1, round(least / env.dt))
@@ -162,7 +164,7 @@ def animate_policy(
         >>> rb.plotting.animate_policy(env, None, file, seconds=0.2, samples=100).name
         'random.html'
     """
-    path = Path(path)
+    path = file_path("animate_policy", path)
     writable(path)
     found = record_policy(env, policy, seconds=seconds, samples=samples, seed=seed, params=params)
     model = env.task.model

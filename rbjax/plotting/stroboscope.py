@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.contact import ContactForces
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -44,6 +45,7 @@ def bare(*, ax: Axes, margin: float = 0.05) -> None:
     """
     Polygon = require("bare", "matplotlib.patches").Polygon
     ax = axes_of("bare", ax)
+    real_number("bare", "margin", margin, least=0.0)
     parts = [patch.get_xy() for patch in ax.patches if isinstance(patch, Polygon)]
     parts += [np.asarray(line.get_xydata()) for line in ax.lines]
     if not parts:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from rbjax.arguments import check_positive, instance, integer
+from rbjax.arguments import check_positive, file_path, instance, integer
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.optional import require
 from rbjax.plotting import movie_files
+from rbjax.plotting.arguments import check_size
 from rbjax.plotting.from_above import (
     FORCES,
     SLIDING,
@@ -144,10 +145,11 @@ def animate_top_view(
         >>> plotting.animate_top_view(car, path, file, size=(200, 150)).name
         'car.gif'
     """
-    file = Path(path)
+    file = file_path("animate_top_view", path)
     movie_files.check("animate_top_view", file, (".gif", ".mp4"))
     _check("animate_top_view", trajectory, ctrl, model)
     check_positive("animate_top_view", fps=fps, speed=speed)
+    check_size("animate_top_view", size)
     film = _Film(model, trajectory, ctrl, fps, speed)
     pictures = film.pictures(grid, footprint, title, speed, size)
     movie_files.write(file, pictures, len(film.ts), fps, progress)

@@ -146,7 +146,7 @@ def contact_law(
         >>> r.name in rb.contact.laws(), r.penetration < 5e-3
         (True, True)
     """
-    check_request(accuracy, horizon=horizon, **({} if dt is None else {"dt": dt}))
+    check_request(accuracy, progress, horizon=horizon, **({} if dt is None else {"dt": dt}))
     real_number("recommend", "restitution", restitution, least=0.0, most=1.0)
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]

@@ -121,7 +121,7 @@ def fidelity(
     """
     instance("recommend", "robot", robot, Robot, "a Robot")
     times = {"dt": dt} if horizon is None else {"dt": dt, "horizon": horizon}
-    check_request(accuracy, **times)
+    check_request(accuracy, progress, **times)
     names = [x for x in fidelities() if x not in ON_REQUEST] if among is None else list(among)
     for name in names:
         choice("fidelity", name, fidelities())

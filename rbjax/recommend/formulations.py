@@ -144,7 +144,7 @@ def formulation(
             f"{'state' if state is None else 'accuracy'} is not; give both for a motion, or "
             "neither for the default"
         )
-    check_request(accuracy, horizon=horizon, **({} if dt is None else {"dt": dt}))
+    check_request(accuracy, progress, horizon=horizon, **({} if dt is None else {"dt": dt}))
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
         if ctrl is not None:

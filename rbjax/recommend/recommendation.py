@@ -10,7 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rbjax.arguments import real_number
+from rbjax.arguments import flag, real_number
 from rbjax.display import Display, displayed, value_text
 from rbjax.errors import InputError
 
@@ -64,9 +64,11 @@ def _text(x: Any) -> str:
     return f"{x:.3g}" if isinstance(x, float) else str(x)
 
 
-def check_request(accuracy: Any, **times: Any) -> None:
-    """Raise `InputError` if the accuracy is too fine, or if a time is not positive."""
-    real_number("recommend", "accuracy", accuracy, "a number", finite=False)
+def check_request(accuracy: Any, progress: bool, **times: Any) -> None:
+    """Raise `InputError` if the accuracy is too fine, if a time is not positive, or if `progress`
+    is not a flag."""
+    flag("recommend", "progress", progress)
+    real_number("recommend", "accuracy", accuracy, "a number")
     if not accuracy >= FINEST:
         raise InputError(
             f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference is "

@@ -212,7 +212,7 @@ def solver(
         >>> r.name, "accuracy decides" in r.reason, r.predicted_error <= 1e-6
         ('rk4', True, True)
     """
-    check_request(accuracy, horizon=horizon)
+    check_request(accuracy, progress, horizon=horizon)
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
         if not model.nv:

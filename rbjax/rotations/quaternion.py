@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import ArrayLike
+from rbjax.arguments import ArrayLike, batch_shape, random_key
 from rbjax.rotations.arguments import entries, spread, stacked, takes
 from rbjax.rotations.coefficients import (
     inverse_left_jacobian,
@@ -336,4 +336,6 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
         >>> random(jax.random.key(0), (5,)).shape
         (5, 4)
     """
+    random_key("quaternion.random", key)
+    shape = batch_shape("quaternion.random", shape)
     return normalize(jax.random.normal(key, (*shape, 4), dtype or jnp.result_type(float)))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike
+from rbjax.arguments import ArrayLike, batch_shape, random_key
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, matmat, quaternion_matrix
 from rbjax.rotations import quaternion
@@ -248,6 +248,8 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
         >>> random(jax.random.key(0), (5,)).shape
         (5, 3, 3)
     """
+    random_key("so3.random", key)
+    shape = batch_shape("so3.random", shape)
     return quaternion.to_matrix(quaternion.random(key, shape, dtype))
 
 

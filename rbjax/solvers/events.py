@@ -27,7 +27,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import integer, real_number, shown
 from rbjax.compiling import compiled, inside_jit
 from rbjax.display import displayed
 from rbjax.errors import InputError
@@ -120,10 +120,19 @@ def integrate_until(
         >>> [round(float(x), 4) for x in jax.value_and_grad(touch)(jnp.asarray(1.0))]
         [0.4515, 0.2258]
     """
-    integer("integrate_until", "max_steps", max_steps, least=1)
+    where = "integrate_until"
+    integer(where, "max_steps", max_steps, least=1)
+    for name, f in (("vector_field", vector_field), ("guard", guard)):
+        if not callable(f):
+            raise InputError(f"{where}: {name} is {shown(f)}, expected a function of t, y and args")
+    for name, t in (("t0", t0), ("t1", t1)):
+        real_number(where, name, t, "a time in s", traced=True)
     if tolerance is not None:
         real_number("integrate_until", "tolerance", tolerance, "a number above zero", above=0.0)
-    dtype = jnp.result_type(*jax.tree.leaves(y0))
+    try:
+        dtype = jnp.result_type(*jax.tree.leaves(y0))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: y0 is {shown(y0)}, expected a pytree of arrays") from error
     if not jnp.issubdtype(dtype, jnp.floating):
         raise InputError(f"integrate_until: y0 has dtype {dtype}, expected floating-point arrays")
     start, end = (jax.lax.stop_gradient(jnp.asarray(t, dtype)) for t in (t0, t1))

@@ -198,7 +198,8 @@ class Adams(AbstractMultistep):
     root_find_max_steps: int = MAX_STEPS
 
     def __check_init__(self):
-        if self.corrector not in ADAMS:
+        integer("Adams", "root_find_max_steps", self.root_find_max_steps, least=1)
+        if not isinstance(self.corrector, str) or self.corrector not in ADAMS:
             expected = ", ".join(map(repr, ADAMS))
             raise InputError(f"Adams: corrector {self.corrector!r}, expected {expected}")
         name, least = ADAMS[self.corrector]
@@ -280,6 +281,7 @@ class BDF(AbstractMultistep):
     root_find_max_steps: int = MAX_STEPS
 
     def __check_init__(self):
+        integer("BDF", "root_find_max_steps", self.root_find_max_steps, least=1)
         integer(
             "BDF", "order", self.formula_order, least=1, most=6, why=", where it is zero-stable"
         )

@@ -16,6 +16,7 @@ import diffrax
 import numpy as np
 from numpy.polynomial import Polynomial, legendre
 
+from rbjax.arguments import integer, shown
 from rbjax.display import displayed
 from rbjax.errors import InputError
 
@@ -122,7 +123,11 @@ class Tableau:
     dense: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        s = np.size(self.b)
+        try:
+            s = np.size(self.b)
+        except ValueError as error:
+            raise InputError(f"tableau: b is {shown(self.b)}, expected (s,) numbers") from error
+        integer("tableau", "order", self.order, least=1)
         shapes: dict[str, list[tuple]] = {"a": [(s, s)], "b": [(s,)], "error": [(s + 1,), (0,)]}
         for name in ("a", "b", "error", "dense"):
             given = getattr(self, name)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rbjax.arguments import integer, real_array, shown
 from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Method, characteristic
 from rbjax.stability.theory.oscillator import spectral_radius
@@ -47,7 +48,10 @@ def plot_regions(
         >>> ax.get_legend().get_texts()[0].get_text()
         'RK4'
     """
-    left, right, bottom, top = window
+    _check_methods("plot_regions", methods)
+    integer("plot_regions", "points", points, least=2)
+    found = real_array("plot_regions", "window", window, "(left, right, bottom, top)", ndim=1)
+    left, right, bottom, top = found if len(found) == 4 else (0.0, 0.0, 0.0, 0.0)
     if not (left < right and bottom < top):
         raise InputError(f"plot_regions: window is {window}, expected (left, right, bottom, top)")
     ax = axes_of("plot_regions", ax)
@@ -64,6 +68,14 @@ def plot_regions(
            xlabel=r"Re $h\lambda$", ylabel=r"Im $h\lambda$")  # fmt: skip
     legend(ax)
     return ax
+
+
+def _check_methods(where: str, methods: Mapping[str, Method]) -> None:
+    if not isinstance(methods, Mapping):
+        raise InputError(
+            f"{where}: methods is {shown(methods)}, expected a dict of labels and methods, such "
+            "as {'RK4': 'rk4'}"
+        )
 
 
 def plot_spectral_radius(
@@ -90,6 +102,8 @@ def plot_spectral_radius(
         >>> float(ax.lines[0].get_ydata()[0].round(6))
         1.0
     """
+    _check_methods("plot_spectral_radius", methods)
+    h_omega = real_array("plot_spectral_radius", "h_omega", h_omega, ndim=1)
     ax = axes_of("plot_spectral_radius", ax)
     for label, solver in methods.items():
         ax.semilogx(h_omega, spectral_radius(solver, h_omega), label=label)

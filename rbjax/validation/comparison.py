@@ -10,7 +10,7 @@ import jax
 import mujoco
 import numpy as np
 
-from rbjax.arguments import flag
+from rbjax.arguments import flag, integer, real_number, shown
 from rbjax.errors import InputError
 from rbjax.loading import compile_model
 from rbjax.loading.loader import from_compiled
@@ -90,8 +90,15 @@ def compare(
         >>> rb.validation.compare("pendulum", states=3, mjx=False, seconds=0.02).success
         True
     """
-    if states < 1:
-        raise InputError(f"compare: states is {states}, expected at least 1")
+    integer("compare", "states", states, least=1)
+    integer("compare", "seed", seed, least=0)
+    real_number("compare", "seconds", seconds, above=0.0)
+    flag("compare", "gradient", gradient)
+    flag("compare", "floating_base", floating_base)
+    if not isinstance(mjx, bool) and not isinstance(mjx, tuple | list):
+        raise InputError(
+            f"compare: mjx is {shown(mjx)}, expected True, False or precisions, such as ('f64',)"
+        )
     say = progress or (lambda stage: None)
     say("MuJoCo C")
     if flag("compare", "contacts", contacts):

@@ -16,12 +16,11 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import instance, integer, random_key
 from rbjax.envs.batch_step import batch_keys
 from rbjax.envs.environment import Environment
 from rbjax.envs.learning.evaluation import Episodes
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key
 from rbjax.model import State
 
 
@@ -71,7 +70,7 @@ def evaluate_in_mujoco(
         [3, 3]
     """
     instance("evaluate_in_mujoco", "env", env, Environment, "an rb.envs.Environment")
-    check_key("evaluate_in_mujoco", key)
+    random_key("evaluate_in_mujoco", key)
     integer("evaluate_in_mujoco", "episodes", episodes, least=1)
     integer("evaluate_in_mujoco", "threads", threads, least=1)
     total = env.episode if steps is None else steps

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from rbjax.envs import Environment, make, tasks
 from rbjax.errors import UnknownName
 from rbjax.loading import load, load_trajectory, scenes
@@ -14,7 +12,7 @@ from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.animation import animate
 from rbjax.plotting.policies import FEW, drawn_source, record_policy, tracked_body
-from rbjax.viewer.viewing import Viewer, view
+from rbjax.viewer.viewing import Viewer, at_rest, view
 
 
 class RobotMotion(NamedTuple):
@@ -56,12 +54,6 @@ class RobotMotion(NamedTuple):
 
     def _options(self) -> dict[str, Any]:
         return {"title": self.title, "contacts": self.contacts, "tracked": self.tracked}
-
-
-def at_rest(model: Model) -> Trajectory:
-    """Return a trajectory of one time: the default state."""
-    state = model.default_state()
-    return Trajectory(jnp.zeros(1), state.q[None], state.v[None], jnp.array(True))
 
 
 def motion_of(

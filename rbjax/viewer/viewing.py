@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import check_model
+from rbjax.arguments import instance, integer
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.optional import require
+from rbjax.plotting.arguments import check_film
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
@@ -124,7 +125,13 @@ def view(
         >>> viewer = rb.viewer.view(model, source="double_pendulum")  # doctest: +SKIP
         >>> viewer.stop()  # doctest: +SKIP
     """
-    check_model("view", model)
+    motion = at_rest(model) if trajectory is None else trajectory
+    check_film(
+        "view", model, motion, fps=fps, speed=1.0, samples=samples, camera=camera, follow=follow,
+        tracked=tracked, trace=(), title=title, floating_base=floating_base,
+    )  # fmt: skip
+    instance("view", "host", host, str, "the address of the server, such as '127.0.0.1'")
+    integer("view", "port", port, least=0, most=65535)
     shapes = shapes_of(model, source, floating_base)
     if trajectory is None:
         ts, q = np.zeros(1), np.asarray(model.default_state().q)[None, None]
@@ -142,6 +149,12 @@ def view(
         else MotionControls(server, scene, fps)
     )
     return Viewer(server, scene, controls, fps)
+
+
+def at_rest(model: Model) -> Trajectory:
+    """Return a trajectory of one time: the default state."""
+    state = model.default_state()
+    return Trajectory(jnp.zeros(1), state.q[None], state.v[None], jnp.array(True))
 
 
 def check_viser() -> Any:

@@ -60,7 +60,7 @@ def test_room_and_precision() -> None:
 def test_wrong_arguments() -> None:
     grid = OccupancyGrid(np.zeros((12, 12), bool), 0.1)
     for starts, goals, words in (
-        ([0.5] * 3, [[0.5] * 3], ["grid_dijkstra_many: start is", "(q, 3)"]),
+        ([0.5] * 3, [[0.5] * 3], ["grid_dijkstra_many: starts is", "(q, 3)"]),
         ([[0.5] * 3], [[0.5] * 3] * 2, ["1 starts and 2 goals"]),
     ):
         with pytest.raises(rb.InputError) as caught:

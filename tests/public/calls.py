@@ -18,7 +18,7 @@ from rbjax.planning import Controls, Footprint, Limits, OccupancyGrid, Path
 from rbjax.rotations import se3, so3
 from rbjax.spatial import shapes
 from tests.body import test_composes as of_bodies
-from tests.public import room_calls
+from tests.public import room_calls, tool_calls
 from tests.rotations import test_public as of_rotations
 
 Calls = dict[str, dict[str, Any]]
@@ -373,22 +373,26 @@ PLOTTING: Calls = {
                  "trajectory": wheeled.rollout(VEHICLE, STATE, np.zeros((3, 2)), 0.01)},
 }  # fmt: skip
 
-ROOMS: dict[str, tuple[Any, Calls]] = {
-    "rotations": (rotations, {n.removeprefix("rotations."): c for n, c in ROTATIONS.items()}),
-    "spatial": (spatial, SPATIAL),
-    "body": (body, BODY),
-    "wheeled": (wheeled, WHEELED),
-    "planning": (planning, PLANNING),
-    "constraints": (constraints, CONSTRAINTS),
-    "stability": (stability, STABILITY),
-    "solvers": (rb.solvers, SOLVERS),
-    "estimation": (estimation, ESTIMATION),
-    "loading": (rb.loading, LOADING),
-    "plotting": (rb.plotting, PLOTTING),
-} | room_calls.ROOMS
+ROOMS: dict[str, tuple[Any, Calls]] = (
+    {
+        "rotations": (rotations, {n.removeprefix("rotations."): c for n, c in ROTATIONS.items()}),
+        "spatial": (spatial, SPATIAL),
+        "body": (body, BODY),
+        "wheeled": (wheeled, WHEELED),
+        "planning": (planning, PLANNING),
+        "constraints": (constraints, CONSTRAINTS),
+        "stability": (stability, STABILITY),
+        "solvers": (rb.solvers, SOLVERS),
+        "estimation": (estimation, ESTIMATION),
+        "loading": (rb.loading, LOADING),
+        "plotting": (rb.plotting, PLOTTING | tool_calls.PLOTTING),
+    }
+    | room_calls.ROOMS
+    | tool_calls.ROOMS
+)
 
 #: functions that are not names of their room
-OTHERS: dict[str, Callable] = room_calls.OTHERS | {
+OTHERS: dict[str, Callable] = room_calls.OTHERS | tool_calls.OTHERS | {
     "planning.Path.split": DRIVEN.split,
     "wheeled.car": wheeled.kinds()["car"].make,
     "wheeled.differential_drive": wheeled.kinds()["differential_drive"].make,

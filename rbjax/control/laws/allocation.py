@@ -17,9 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike, instance
+from rbjax.arguments import ArrayLike
 from rbjax.display import displayed
-from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.dynamics.arguments import check_array, check_arrays, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.forces.acting import element_contexts
@@ -75,7 +75,7 @@ def allocate(model: Model, state: State, tau: ArrayLike) -> Allocation:
     check_model("allocate", model)
     check_actuators("allocate", model)
     tau = check_array("allocate", "tau", tau, (model.nv,))
-    instance("allocate", "state", state, State, "an rb.State(q, v)")
+    state = check_arrays("allocate", model, {"state": state})["state"]
     ctrl = controls(model, state, tau)
     limits = model.actuators.ctrlrange.astype(ctrl.dtype)
     for element in model.forces:

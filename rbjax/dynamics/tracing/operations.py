@@ -72,6 +72,8 @@ def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> Ope
         >>> operation_count(lambda x: jnp.sin(x) * x + 1.0, 2.0)
         OperationCount(additions=1, multiplications=1, divisions=0, roots=0, trigonometry=1)
     """
+    if not callable(fn):
+        raise InputError(f"operation_count: fn is {type(fn).__name__}, expected a function")
     models = {i: a for i, a in enumerate(args) if isinstance(a, Model)}
     given = {i: {name: _leaf(m, name) for name in traced} for i, m in models.items()}
     inputs = {i: a for i, a in enumerate(args) if i not in models}

@@ -63,7 +63,7 @@ def to_brax(
         (5, 1)
     """
     require("to_brax", "brax")
-    check_environment("to_brax", environment)
+    check_environment("to_brax", environment, params)
     return _classes()[0](environment, params, privileged)
 
 
@@ -103,7 +103,7 @@ def wrap_brax(
             f"wrap_brax: env is {type(env).__name__}, expected the result of to_brax(environment)"
         )
     integer("wrap_brax", "episode_length", episode_length, least=1)
-    if action_repeat != 1:
+    if integer("wrap_brax", "action_repeat", action_repeat, least=1) != 1:
         raise InputError(
             f"wrap_brax: action_repeat is {action_repeat}, expected 1; set Task.decimation to "
             "repeat an action over physics steps"

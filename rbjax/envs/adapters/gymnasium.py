@@ -66,7 +66,7 @@ def to_gymnasium(environment: Environment, params: Params | None = None) -> Any:
         ((5,), False, False)
     """
     require("to_gymnasium", "gymnasium")
-    check_environment("to_gymnasium", environment)
+    check_environment("to_gymnasium", environment, params)
     return _classes()[0](environment, params)
 
 
@@ -107,7 +107,7 @@ def to_gymnasium_vector(
         ((8, 5), (8,))
     """
     require("to_gymnasium_vector", "gymnasium")
-    check_environment("to_gymnasium_vector", environment)
+    check_environment("to_gymnasium_vector", environment, params)
     integer("to_gymnasium_vector", "num_envs", num_envs, least=1)
     choice("autoreset", autoreset, AUTORESET)
     return _classes()[1](environment, num_envs, params, autoreset)
@@ -138,7 +138,7 @@ def to_gymnasium_functional(environment: Environment, params: Params | None = No
         (5,)
     """
     require("to_gymnasium_functional", "gymnasium")
-    check_environment("to_gymnasium_functional", environment)
+    check_environment("to_gymnasium_functional", environment, params)
     return _classes()[2](environment, params)
 
 

@@ -67,7 +67,7 @@ def to_gymnax(environment: Environment, params: Params | None = None) -> Any:
         (5,)
     """
     require("to_gymnax", "gymnax")
-    check_environment("to_gymnax", environment)
+    check_environment("to_gymnax", environment, params)
     return _classes()[0](environment, params)
 
 
@@ -103,7 +103,7 @@ def to_rejax(environment: Environment, params: Params | None = None) -> Any:
         (5,)
     """
     require("to_rejax", "gymnax")
-    check_environment("to_rejax", environment)
+    check_environment("to_rejax", environment, params)
     return _classes()[1](environment, params)
 
 

@@ -50,7 +50,7 @@ def to_rsl_rl(
     """
     for package in ("torch", "tensordict", "rsl_rl"):
         require("to_rsl_rl", package)
-    check_environment("to_rsl_rl", environment)
+    check_environment("to_rsl_rl", environment, params)
     integer("to_rsl_rl", "num_envs", num_envs, least=1)
     integer("to_rsl_rl", "seed", seed, least=0)
     return _class()(environment, num_envs, params, seed)

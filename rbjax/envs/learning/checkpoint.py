@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import re
 import shutil
 from collections.abc import Callable, Mapping
@@ -21,7 +20,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance, shown
+from rbjax.arguments import file_path, shown
 from rbjax.envs.learning.networks import ACTIVATIONS, Network, Normaliser
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.registry import make, task_function
@@ -124,7 +123,10 @@ def save_policy(
     }
     _json(head)  # before anything is written
     checkpointer = _orbax("save_policy")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"save_policy: the folder {path} cannot be made: {error}") from error
     earlier = _arrays_folders(folder)
     head["arrays"] = f"parameters-{max(earlier.values(), default=0) + 1}"
     checkpointer.save(folder / head["arrays"], _arrays(policy))
@@ -224,8 +226,7 @@ def read_head(file: Path) -> dict[str, Any]:
 
 
 def _folder(where: str, path: Any) -> Path:
-    instance(where, "path", path, str | os.PathLike, "a path of a folder")
-    return Path(path).expanduser().absolute()
+    return file_path(where, path).expanduser().absolute()
 
 
 def _like(head: Mapping[str, Any]) -> Policy:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from rbjax.arguments import instance, integer, real_number
+from rbjax.arguments import instance, integer, random_key, real_number
 from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.environment import Environment
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_key, check_several
+from rbjax.kinematics.arguments import check_several
 
 
 def check_training(
@@ -18,7 +18,7 @@ def check_training(
 ) -> None:  # fmt: skip
     """Raise InputError unless these are arguments of a training."""
     instance(where, "env", env, Environment, "an rb.envs.Environment, such as rb.envs.make(name)")
-    check_key(where, key)
+    random_key(where, key)
     if optimiser is not None and not (hasattr(optimiser, "init") and hasattr(optimiser, "update")):
         raise InputError(
             f"{where}: optimiser is {optimiser!r}, expected a transformation of optax, such as "

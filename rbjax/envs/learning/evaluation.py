@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, instance, integer
+from rbjax.arguments import flag, instance, integer, random_key
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.batch_step import batch_step
 from rbjax.envs.environment import Environment
-from rbjax.kinematics.arguments import check_key
 
 
 @displayed
@@ -80,7 +79,7 @@ def evaluate(
         (3,)
     """
     instance("evaluate", "env", env, Environment, "an rb.envs.Environment")
-    check_key("evaluate", key)
+    random_key("evaluate", key)
     integer("evaluate", "episodes", episodes, least=1)
     flag("evaluate", "noise", noise)
     check_takes("evaluate", "policy", policy, "obs", "key")

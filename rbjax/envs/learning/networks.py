@@ -13,9 +13,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice, random_key
 from rbjax.dynamics.arguments import check_array
-from rbjax.errors import InputError, UnknownName
-from rbjax.kinematics.arguments import check_key, check_several
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_several
 from rbjax.model.record import Record
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
@@ -80,13 +81,12 @@ def network(
         >>> [W.shape for W in rb.envs.learning.network(jax.random.key(0), (3, 8, 2)).weights]
         [(8, 3), (2, 8)]
     """
-    check_key("network", key)
+    random_key("network", key)
     sizes = check_several("network", "sizes", sizes, "integers")
     factor = check_array("network", "last", last, ())
     if len(sizes) < 2 or any(not isinstance(n, int) or n < 1 for n in sizes):
         raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
-    if activation not in ACTIVATIONS:
-        raise UnknownName("activation of network", activation, ACTIVATIONS)
+    choice("activation of network", activation, ACTIVATIONS)
     weights, biases = _random_layers(key, sizes, factor)
     return Network(weights, biases, activation)
 

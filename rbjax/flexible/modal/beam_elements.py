@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import instance, real_array
 from rbjax.errors import InputError
 from rbjax.flexible.cross_section import Section
 from rbjax.flexible.modal.finite_elements import (
@@ -94,7 +95,8 @@ def beam_mesh(
 
     if isinstance(section, Section):
         section = _from_section(section)
-    x = np.asarray(nodes, float)
+    instance("beam_mesh", "section", section, BeamSection, "a BeamSection or a Section")
+    x = real_array("beam_mesh", "nodes", nodes)
     if x.ndim != 2 or x.shape[1:] != (3,) or len(x) < 2:
         raise InputError(f"beam_mesh: nodes have the shape {x.shape}, expected (n, 3) with n >= 2")
     ends = (

@@ -29,9 +29,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number
+from rbjax.arguments import instance, real_number, shown
 from rbjax.errors import InputError, UnknownName
 from rbjax.model.record import Record, check_numbers, floats
+
+
+def check_body(where: str, body: Any) -> None:
+    """Raise InputError unless a value is a `ModalBody`."""
+    instance(where, "body", body, ModalBody, "a ModalBody, such as that of craig_bampton")
 
 
 class ModalBody(Record):
@@ -101,6 +106,10 @@ class ModalBody(Record):
     def __check_init__(self) -> None:
         for name, shape in shapes(len(self.mode_names), len(self.frame_names)).items():
             value = getattr(self, name)
+            if callable(value) or isinstance(value, str | bytes | list | tuple | dict):
+                raise InputError(
+                    f"ModalBody({name}=...): got {shown(value)}, expected numbers of shape {shape}"
+                )
             if not hasattr(value, "shape"):
                 continue  # a leaf that a transformation of JAX has replaced
             if value.shape != shape:

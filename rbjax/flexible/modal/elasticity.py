@@ -13,6 +13,8 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from rbjax.arguments import flag
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.flexible.linear_elasticity import (
     LinearElasticity,
@@ -20,7 +22,7 @@ from rbjax.flexible.linear_elasticity import (
     diagonal_if_known,
     with_free_base,
 )
-from rbjax.flexible.modal.body import ModalBody
+from rbjax.flexible.modal.body import ModalBody, check_body
 from rbjax.flexible.modal.link import ModalLayout, ModalLink
 from rbjax.forces.context import Context
 from rbjax.forces.element import Shapes
@@ -105,6 +107,9 @@ def add_modal_body(
         >>> rb.applied_forces(model, state).tolist()
         [-4.0]
     """
+    check_model("add_modal_body", model)
+    check_body("add_modal_body", body)
+    flag("add_modal_body", "free", free)
     if not body.frame_names:
         raise InputError(
             "add_modal_body: the body has no frames; give craig_bampton an interface, or "

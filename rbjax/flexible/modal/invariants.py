@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbjax.arguments import integer, shown
+from rbjax.arguments import flag, integer, real_array, shown
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
@@ -106,8 +106,8 @@ def inertia_invariants(
             f"inertia_invariants: got {len(U)} modes' points and {n} places; expected one row of "
             "each for each point"
         )
-    axes = (None,) if np.ndim(masses) == 1 else (None, None)
-    weight = masses if issparse(masses) else _array("masses", masses, axes)
+    flag("inertia_invariants", "turn_inertias", turn_inertias)
+    weight: Any = masses if issparse(masses) else real_array("inertia_invariants", "masses", masses)
     if weight.shape not in ((n,), (n, n)):
         raise InputError(
             f"inertia_invariants: masses have the shape {weight.shape}, expected ({n},) or "

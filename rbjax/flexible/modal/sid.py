@@ -27,9 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import existing_file
+from rbjax.arguments import existing_file, file_path
 from rbjax.errors import InputError
-from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, shapes
+from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, check_body, shapes
 
 #: pairs of angular velocities, in the order of the columns of Oe
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -190,6 +190,8 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
         >>> file.exists()
         True
     """
+    check_body("write_sid", body)
+    path = file_path("write_sid", path)
     b = SimpleNamespace(**{k: np.asarray(getattr(body, k)) for k in shapes(1, 1)})
     m, lines = body.mode_count, ["SID written by rbjax", "part", "new modal", "refmod"]
     lines += [f"mass = {float(b.mass)!r}", f"nelastq = {m}"]

@@ -22,11 +22,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from rbjax.arguments import floating_array, real_array, shown
 from rbjax.display import displayed
 from rbjax.errors import InputError
-from rbjax.flexible.modal.body import ModalBody, generalized_modes
+from rbjax.flexible.modal.body import ModalBody, check_body, generalized_modes
 from rbjax.flexible.modal.finite_elements import FiniteElements
 from rbjax.lanes import matvec
+from rbjax.model.record import check_numbers
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -106,6 +108,14 @@ def elastic_force(body: ModalBody, q: jax.Array, qd: jax.Array) -> jax.Array:
         >>> elastic_force(body, np.array([0.5]), np.array([2.0])).tolist()
         [5.0]
     """
+    check_body("elastic_force", body)
+    m = body.mode_count
+    q, qd = (
+        floating_array("elastic_force", name, x, lambda shape: shape == (m,), f"({m},)")
+        for name, x in (("q", q), ("qd", qd))
+    )
+    for name, x in (("q", q), ("qd", qd)):
+        check_numbers(f"elastic_force: {name}", x, infinite=False)
     return matvec(body.stiffness, q) + matvec(body.damping, qd)
 
 
@@ -135,16 +145,20 @@ def stiffness_in_motion(
         >>> stiffness_in_motion(body, [0.0, 0.0, 3.0]).tolist()
         [[-5.0]]
     """
-    w = _vector("w", w)
+    where = "stiffness_in_motion"
+    check_body(where, body)
+    w = _vector(where, "w", w)
     spun = np.asarray(body.centrifugal_stiffness) - np.asarray(body.inertia2)
     K = np.asarray(body.stiffness) + np.einsum("a,jkab,b", w, spun, w)
     if acceleration is not None:
         K = K + np.tensordot(
-            _vector("acceleration", acceleration), np.asarray(body.first_moment2), 1
+            _vector(where, "acceleration", acceleration), np.asarray(body.first_moment2), 1
         )
     if angular_acceleration is not None:
         c1 = np.tensordot(
-            _vector("angular_acceleration", angular_acceleration), np.asarray(body.coupling1), 1
+            _vector(where, "angular_acceleration", angular_acceleration),
+            np.asarray(body.coupling1),
+            1,
         )
         K = K + c1
     return K
@@ -201,7 +215,8 @@ def fast_rotation(body: ModalBody, omega: Any, acceleration: Any = None) -> Fast
         >>> fast_rotation(body, [0.0, 0.0, 3.0]).success
         False
     """
-    w = _vector("omega", omega)
+    check_body("fast_rotation", body)
+    w = _vector("fast_rotation", "omega", omega)
     mass = np.asarray(body.modal_mass)
     squares, _ = generalized_modes(stiffness_in_motion(body, w, acceleration), mass)
     at_rest, _ = generalized_modes(np.asarray(body.stiffness), mass)
@@ -229,8 +244,8 @@ def fast_rotation(body: ModalBody, omega: Any, acceleration: Any = None) -> Fast
     return FastRotation(bool(lowest >= 0), squares, at_rest, stiffened, status)
 
 
-def _vector(name: str, x: Any) -> np.ndarray:
-    out = np.asarray(x, float)
-    if out.shape != (3,) or not np.isfinite(out).all():
-        raise InputError(f"{name}: got {x!r}, expected three finite numbers")
+def _vector(where: str, name: str, x: Any) -> np.ndarray:
+    out = real_array(where, name, x, "three finite numbers")
+    if out.shape != (3,):
+        raise InputError(f"{where}: {name} is {shown(x)}, expected three finite numbers")
     return out

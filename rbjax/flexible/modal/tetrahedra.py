@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import flag, real_array
+from rbjax.arguments import flag, real_array, real_number, shown
 from rbjax.errors import InputError
 from rbjax.flexible.modal.finite_elements import (
     FiniteElements,
@@ -54,8 +54,12 @@ def tetrahedral_mesh(
         >>> round(float(block.masses.sum()), 12)
         2.0
     """
-    x, cells = np.asarray(nodes, float), np.asarray(tetrahedra)
-    _check(x, cells, E, poisson, density)
+    where = "tetrahedral_mesh"
+    x, cells = _mesh(where, nodes, tetrahedra)
+    real_number(where, "E", E, above=0.0)
+    real_number(where, "density", density, above=0.0)
+    if real_number(where, "poisson", poisson, least=0.0) >= 0.5:
+        raise InputError(f"{where}: poisson is {poisson}, expected a Poisson ratio below 0.5")
     quadratic = cells.shape[1] == 10
     mu, lam = E / (2 + 2 * poisson), E * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
@@ -164,39 +168,38 @@ def with_middle_nodes(nodes: Any, tetrahedra: Any) -> tuple[np.ndarray, np.ndarr
         >>> nodes.shape, cells.shape
         ((10, 3), (1, 10))
     """
-    x, cells = np.asarray(nodes, float), np.asarray(tetrahedra)
+    x, cells = _mesh("with_middle_nodes", nodes, tetrahedra, (4,))
     pairs = np.sort(np.stack([cells[:, edge] for edge in EDGES], 1), -1).reshape(-1, 2)
     edges, where = np.unique(pairs, axis=0, return_inverse=True)
     middle = len(x) + where.reshape(len(cells), 6)
     return np.concatenate([x, x[edges].mean(1)]), np.concatenate([cells, middle], 1)
 
 
-def _check(x: np.ndarray, cells: np.ndarray, E: float, poisson: float, density: float) -> None:
-    if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
+def _mesh(
+    where: str, nodes: Any, tetrahedra: Any, sizes: tuple[int, ...] = (4, 10)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Convert nodes (n, 3) and the nodes of tetrahedra (e, 4) or (e, 10) to arrays."""
+    x, cells = (real_array(where, n, a) for n, a in (("nodes", nodes), ("tetrahedra", tetrahedra)))
+    if x.ndim != 2 or x.shape[1] != 3:
+        raise InputError(f"{where}: nodes have the shape {x.shape}, expected (n, 3)")
+    if cells.ndim != 2 or cells.shape[1] not in sizes or (cells != cells.astype(int)).any():
+        due = " or ".join(f"(e, {n})" for n in sizes)
         raise InputError(
-            f"tetrahedral_mesh: nodes have the shape {x.shape}, expected finite numbers (n, 3)"
+            f"{where}: tetrahedra have the shape {cells.shape} and the type "
+            f"{np.asarray(tetrahedra).dtype}, expected integers {due}"
         )
-    if cells.ndim != 2 or cells.shape[1] not in (4, 10) or cells.dtype.kind not in "iu":
+    cells = cells.astype(int)
+    if cells.size == 0 or cells.min() < 0 or cells.max() >= len(x):
         raise InputError(
-            f"tetrahedral_mesh: tetrahedra have the shape {cells.shape} and the type "
-            f"{cells.dtype}, expected integers (e, 4) or (e, 10)"
-        )
-    if cells.min() < 0 or cells.max() >= len(x):
-        raise InputError(
-            f"tetrahedral_mesh: indices from {cells.min()} to {cells.max()}, expected 0 to "
-            f"{len(x) - 1}"
+            f"{where}: tetrahedra have the indices {shown(cells)}, expected 0 to {len(x) - 1}"
         )
     unused = np.setdiff1d(np.arange(len(x)), cells)
     if unused.size:
         raise InputError(
-            f"tetrahedral_mesh: {unused.size} nodes belong to no element, such as node "
+            f"{where}: {unused.size} nodes belong to no element, such as node "
             f"{unused[0]}; remove them"
         )
-    if not (E > 0 and density > 0 and 0 <= poisson < 0.5):
-        raise InputError(
-            f"tetrahedral_mesh: got E = {E:g}, density {density:g} and Poisson's ratio "
-            f"{poisson:g}; expected numbers above zero and a ratio from 0 to less than 0.5"
-        )
+    return x, cells
 
 
 def _rule(k: int) -> tuple[np.ndarray, np.ndarray]:

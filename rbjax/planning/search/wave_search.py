@@ -216,7 +216,8 @@ def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.nd
     """Check start and goal, and convert them to arrays (3,), or (q, 3) each if `axes` is 2."""
     shape = "(3,)" if axes == 1 else "(q, 3)"
     poses = []
-    for name, x in (("start", start), ("goal", goal)):
+    several = "s" if axes == 2 else ""
+    for name, x in ((f"start{several}", start), (f"goal{several}", goal)):
         pose = real_array(where, name, x, f"{shape}, finite numbers in m and rad")
         if pose.ndim != axes or pose.shape[-1] != 3:
             raise InputError(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
-from rbjax.arguments import real_array
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -243,11 +243,8 @@ def measured_stable_step(
             )
     else:
         run = fixed_step_solver(method)
-    if not (0 < near < math.inf and steps >= 10):
-        raise InputError(
-            f"measured_stable_step: got near {near} s and {steps} steps, expected a positive time "
-            "and at least 10"
-        )
+    real_number("measured_stable_step", "near", near, "a time above zero, in s", above=0.0)
+    integer("measured_stable_step", "steps", steps, least=10)
     state = at_rest("measured_stable_step", model, state, ctrl)
     rng = np.random.default_rng(0)
     q, v = state.q, state.v

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import floating_array, integer, real_number
+from rbjax.arguments import flag, floating_array, integer, real_number
 from rbjax.compiling import compiled
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
@@ -92,6 +92,7 @@ def limit_cycle(
     check_takes("limit_cycle", "return_map", return_map, "y")
     y = floating_array("limit_cycle", "guess", guess, lambda s: len(s) == 1 and s[0] > 0, "(n,)")
     integer("limit_cycle", "max_steps", max_steps, least=1)
+    flag("limit_cycle", "throw", throw)
     if tolerance is None:
         tolerance = 1e-10 if y.dtype == jnp.float64 else 1e-4
     real_number("limit_cycle", "tolerance", tolerance, "a number above zero", above=0.0)

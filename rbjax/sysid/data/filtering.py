@@ -118,8 +118,8 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
         >>> bool(error.max() < 1e-3)
         True
     """
+    times = integer("differentiate", "times", times, least=0, most=2)
     where = "differentiate" if times else "low_pass"
-    integer(where, "times", times, least=0, most=2)
     integer(where, "order", order, least=1)
     t, x = _signal(where, t, x)
     steps = np.diff(t)

@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike, real_number
+from rbjax.arguments import ArrayLike, real_array, real_number
 from rbjax.dynamics import inertial_parameters
 from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
@@ -235,6 +235,9 @@ def nearest_pseudo_inertia(P: ArrayLike, margin: float = 1e-6) -> jax.Array:
     shape = shape_of(where, "P", P)
     if shape[-2:] != (4, 4):
         raise InputError(f"{where}: P has shape {shape}, expected (..., 4, 4)")
+    if not isinstance(P, jax.core.Tracer):
+        P = jnp.asarray(P) if isinstance(P, jax.Array) else real_array(where, "P", P)
+        real_array(where, "P", P)
     P = jnp.asarray(P)
     w, V = jnp.linalg.eigh((P + jnp.swapaxes(P, -1, -2)) / 2)
     least = margin * w[..., -1:]
@@ -341,6 +344,9 @@ def log_determinant_divergence(P: ArrayLike, Q: ArrayLike) -> jax.Array:
         >>> round(float(log_determinant_divergence(2 * jnp.eye(4), jnp.eye(4))), 4)
         1.2274
     """
+    for name, x in (("P", P), ("Q", Q)):
+        if not isinstance(x, jax.core.Tracer):
+            real_array("log_determinant_divergence", name, x)
     r = prior_residual(to_log_cholesky(P), to_log_cholesky(Q))
     return (r * r).sum(-1)
 
