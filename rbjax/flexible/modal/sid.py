@@ -52,8 +52,8 @@ def read_sid(path: str | os.PathLike[str]) -> ModalBody:
         `ModalBody`.
 
     Raises:
-        InputError: a line is not valid, a block is incomplete or missing, or indices of first-order
-            terms contradict each other; or an inertia that gives negative kinetic energy.
+        InputError: no such file, a line that is not valid, a block that is missing, indices of
+            first-order terms that contradict each other, or negative kinetic energy.
 
     Source: Wallrapp 1994; the files of FEMBS and of FEMBeam.
 
@@ -175,6 +175,9 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
         body: the body, whose arrays are not traced.
         path: the file to write.
 
+    Raises:
+        InputError: not a modal body, or not a path.
+
     Source: Wallrapp 1994.
 
     See `read_sid` for an example.
@@ -191,7 +194,7 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
         True
     """
     check_body("write_sid", body)
-    path = file_path("write_sid", path)
+    file = file_path("write_sid", path)
     b = SimpleNamespace(**{k: np.asarray(getattr(body, k)) for k in shapes(1, 1)})
     m, lines = body.mode_count, ["SID written by rbjax", "part", "new modal", "refmod"]
     lines += [f"mass = {float(b.mass)!r}", f"nelastq = {m}"]
@@ -225,8 +228,7 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
     lines += _block("Ge", np.concatenate([(c1[:, :, k] - c1[:, k]).T for k in range(m)], 1))
     lines += _block("Oe", np.stack(Oe, 1), np.stack(Oe1, 1))
     lines += [*_block("Ke", b.stiffness), *_block("De", b.damping), "end modal", "end part"]
-    with open(path, "w", encoding="utf-8") as file:
-        file.write("\n".join(lines) + "\n")
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _carried(c1: np.ndarray, M: np.ndarray) -> np.ndarray:
@@ -386,9 +388,8 @@ def _taylor(name: str, lines: Iterator[tuple[int, str]], where: str) -> _Taylor:
 def _integer(text: str, where: str, line: int, least: int = 0) -> int:
     x = _number(text, where, line)
     if not least <= x <= LARGEST or x != int(x):
-        raise InputError(
-            f"{where}, line {line}: got {text!r}, expected an integer from {least} to {LARGEST}"
-        )
+        due = f"an integer from {least} to {LARGEST}"
+        raise InputError(f"{where}, line {line}: got {text!r}, expected {due}")
     return int(x)
 
 

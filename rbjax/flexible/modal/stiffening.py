@@ -98,6 +98,9 @@ def elastic_force(body: ModalBody, q: jax.Array, qd: jax.Array) -> jax.Array:
     Returns:
         (m,), in J per unit of q.
 
+    Raises:
+        InputError: not a modal body, another shape, or values that are not finite.
+
     Source: Shabana, section 5.5.
 
     Example:
@@ -134,6 +137,9 @@ def stiffness_in_motion(
 
     Returns:
         (m, m), in J per squared unit of q.
+
+    Raises:
+        InputError: not a modal body, or a vector that is not three finite numbers.
 
     Source: Wallrapp & Schwertassek 1991.
 
