@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.status import HasStatus, Status
-from rbjax.sysid.parameters.divergence import Divergence
+from rbjax.sysid.parameters.divergence import TRIAL, Divergence
 
 #: weights of the prior in successive stages, relative to the largest curvature of |r|^2
 PRIOR_WEIGHTS = (1e-4, 1e-7, 1e-10)
@@ -312,7 +312,7 @@ def metric_factor(
         return None
 
 
-@np.errstate(over="ignore", invalid="ignore")  # in trial steps that the line search rejects
+@np.errstate(**TRIAL)
 def regularised_step(
     R: np.ndarray,
     x: np.ndarray,

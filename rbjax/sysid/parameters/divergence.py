@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from rbjax.display import displayed
 
 #: a thinner body, relative to the guess, counts as impossible because of rounding
 BORDER = 1e-7
+#: the state of `np.errstate` for trial steps that a line search rejects
+TRIAL: Any = {"over": "ignore", "invalid": "ignore", "divide": "ignore"}
 
 
 @displayed
@@ -28,8 +31,9 @@ BORDER = 1e-7
 class Divergence:
     """The value D >= 0 of a divergence at p, with its gradient (n,) and Hessian (n, n).
 
-    The value is inf if p is impossible. Derivatives are computed at the first access. The Hessian
-    depends only on p.
+    The value is inf if p is impossible or far away. NumPy then warns, unless the caller sets
+    `np.errstate(**TRIAL)`. Derivatives are computed at the first access. The Hessian depends only
+    on p.
     """
 
     value: float
@@ -38,13 +42,11 @@ class Divergence:
 
     @functools.cached_property
     def slope(self) -> np.ndarray:
-        with np.errstate(over="ignore"):
-            return self.sloped()
+        return self.sloped()
 
     @functools.cached_property
     def curvature(self) -> np.ndarray:
-        with np.errstate(over="ignore"):
-            return self.curved()
+        return self.curved()
 
     def moves(self, length: float) -> np.ndarray:
         """Return changes (n, n) of p, each of one entry, of a length in the Hessian's metric."""
@@ -55,14 +57,12 @@ class Divergence:
         return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))
 
     @classmethod
-    @np.errstate(over="ignore")  # a long trial step has the value inf
     def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
         """Compute sum ((p - p0) / scale)^2 / 2, for free parameters."""
         off = (p - p0) / scale
         return cls(float(off @ off) / 2, lambda: off / scale, lambda: np.eye(p.size) / scale**2)
 
     @classmethod
-    @np.errstate(over="ignore")
     def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """Compute sum p / p0 - log(p / p0) - 1, for positive parameters."""
         if not ((p > 0) & (p0 > 0)).all():
@@ -83,7 +83,6 @@ class Divergence:
         return functools.reduce(cls.__add__, sides) if sides else cls.free(p, p0, scale)
 
     @classmethod
-    @np.errstate(over="ignore")
     def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
         """Compute the sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over matrices P (k, 4, 4).
 
@@ -137,8 +136,7 @@ def _excess(x: np.ndarray) -> np.ndarray:
     near = np.abs(x) < 1e-3
     y = np.where(near, x, 0.0)  # the series of a large x overflows
     series = y * y * (1 / 2 - y * (1 / 3 - y * (1 / 4 - y / 5)))
-    with np.errstate(divide="ignore"):  # for a point on the border by rounding
-        return np.where(near, series, x - np.log1p(x))
+    return np.where(near, series, x - np.log1p(x))
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:

@@ -34,6 +34,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.status import HasStatus, Status
 from rbjax.sysid.arguments import positive_numbers
+from rbjax.sysid.parameters.divergence import TRIAL
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
     model_log_cholesky,
@@ -179,7 +180,7 @@ def consistent(
     problem = _Problem(model, joint_terms, R[:, :-1], R[:, -1], spread, linear)
     # `minimise` uses normal equations, which square the condition number. With a noise of 1e-6 the
     # rows of the prior (size 1) are below the rounding errors of the data rows.
-    with np.errstate(over="ignore", invalid="ignore"):  # in rejected trial steps
+    with np.errstate(**TRIAL):
         found = scipy.optimize.least_squares(
             problem.residual, problem.start, problem.jacobian, x_scale="jac",
             ftol=1e-14, xtol=1e-14, gtol=1e-14, max_nfev=max_steps,
