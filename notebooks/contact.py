@@ -105,7 +105,7 @@ for law, path in down.items():
     print(f"{law:8} {np.asarray(path.q[:, -1, 0]).round(4)} m, speed at the end", path.v[:, -1, 0])
 
 # %%
-figure, axes = plt.subplots(1, 3, figsize=(12, 3.3), layout="constrained")
+figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
 axes[0].plot(drop.ts, drop.q[:, 2], label="height, m")
 axes[0].plot(drop.ts, normal / G, lw=0.8, label="normal force, weights")
 axes[0].set(xlabel="t, s", title="A box falls", ylim=(0, 6))
@@ -172,14 +172,14 @@ held = float(feet.contacts.force[200:, :, 0].sum(1).mean())
 print("mean of the normal forces", round(held, 1), "N, weight", round(weight, 1), "N")
 print("all converged", bool(feet.success.all()))
 
-figure, axes = plt.subplots(1, 2, figsize=(12, 3.3), layout="constrained", width_ratios=[2, 1])
+figure, axes = plt.subplots(2, 1, figsize=(9.6, 5), layout="constrained")
 strobe(walker, walk.q[1, 40::72], ax=axes[0], source=builder.spec, camera=Camera(-80, 10))
 axes[0].set(title="A trot of 4 s, stride 0.2 m")
 names = "front left", "front right", "hind left", "hind right"
 for k, name in enumerate(names):
     axes[1].plot(walk.ts[300:380], feet.contacts.force[300:380, k, 0] / weight, label=name)
 axes[1].set(xlabel="t, s", title="Normal forces over the weight")
-axes[1].legend()
+axes[1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
 
 # %% [markdown]
 # ## Grasp
@@ -217,7 +217,7 @@ for law in LAWS:
 # %%
 last = grasp["mujoco"].state(-1)
 touches = rb.contact.solve(gripper, last, commands[-1]).contacts
-figure, axes = plt.subplots(1, 3, figsize=(12, 3.3), layout="constrained")
+figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
 draw(gripper, gripper.default_state(), ax=axes[0], source=GRIPPER, camera=Camera(-70, 12))
 draw(gripper, last, ax=axes[1], source=GRIPPER, camera=Camera(-70, 12), contacts=touches)
 axes[0].set(title="Before")

@@ -169,12 +169,12 @@ def draw(phi: np.ndarray, found: Found, shares: dict[str, float], path: Path) ->
             discs[row, column].text(-184, 262, title, weight="bold", in_layout=False)
         where = {"color": "white", "fontsize": 7, "ha": "center", "va": "center"}
         discs[0, 0].plot(0, 0, "+", color="white")
-        discs[0, 0].text(0, -35, "identity", **where)
+        discs[0, 0].text(-22, -42, "identity", **where)
         discs[0, 0].text(112, 0, "half\nturn\nby x", **where)
         discs[0, 0].text(0, 118, "half turn\nby y", **where)
         discs[1, 5].text(
-            0.1, 0.75, "Black: right to 14 digits.\nBelow each disc: the share of\nstarts that end "
-            f"off by more\nthan {GOOD:.0e} rad.", va="top", in_layout=False, fontsize=9,
+            0.1, 0.75, "A plain disc is right to\n14 digits. Below each disc:\nthe share of starts "
+            f"that\nend off by more than\n{GOOD:.0e} rad.", va="top", in_layout=False, fontsize=9,
             transform=discs[1, 5].transAxes,
         )  # fmt: skip
         bar = upper.colorbar(shown, ax=discs, location="bottom", shrink=0.6, pad=0.01, aspect=40)

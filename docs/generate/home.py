@@ -15,6 +15,7 @@ def pages(root: Path) -> tree.Pages:
 def home(readme: str) -> str:
     """README without the comments that its figures are made from, and with links to pages."""
     text = re.sub(r"<!--.*?-->", "", readme, flags=re.DOTALL)
+    text = re.sub(r"<source [^>]*>|</?picture>", "", text)  # the style sheet has dark pictures
     text = re.sub(r"(\]\(|src=\")docs/", r"\1", text)
     text = re.sub(r"\]\(notebooks/(\w+)\.ipynb\)", r"](tutorials/\1.md)", text)
     text = re.sub(r"\[([^\]]*)\]\((?:LICENSE|CITATION\.cff|CHANGELOG\.md)\)", r"\1", text)

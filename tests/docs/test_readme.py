@@ -37,7 +37,7 @@ def test_the_program_is_short():
 @pytest.mark.parametrize("name", sorted(path.name for path in CLIPS.iterdir()))
 def test_a_clip_is_small_and_moves(name: str):
     path = CLIPS / name
-    most, width = (1_000_000, 800) if name == "strip.webp" else (150_000, 270)
+    most, width = (1_000_000, 800) if name.startswith("strip") else (150_000, 270)
     assert path.stat().st_size <= most
     with Image.open(path) as film:
         assert film.width == width and 40 <= film.n_frames <= 48  # equal frames are one
@@ -45,14 +45,19 @@ def test_a_clip_is_small_and_moves(name: str):
 
 def test_every_clip_leads_to_its_notebook():
     shown = re.findall(
-        r'\[<img src="docs/clips/(\w+)\.webp"[^>]*>\]\((notebooks/\w+)\.ipynb\)', TEXT
+        r'\[<picture>.*?<img src="docs/clips/(\w+)\.webp"[^>]*></picture>\]'
+        r"\((notebooks/\w+)\.ipynb\)",
+        TEXT,
     )
     assert len(shown) == 9
     assert all(Path(notebook).name == clip for clip, notebook in shown)
     assert {clip for clip, _ in shown} == set(CLIPS_MADE)
-    assert {f"{clip}.webp" for clip, _ in shown} | {"strip.webp"} == {
-        p.name for p in CLIPS.iterdir()
-    }
+    names = {clip for clip, _ in shown} | {"strip"}
+    assert {x for n in names for x in (n, f"{n}-dark")} == {p.stem for p in CLIPS.iterdir()}
+    for dark, light in re.findall(
+        r'srcset="docs/clips/([\w-]+).*?<img src="docs/clips/(\w+)', TEXT
+    ):
+        assert dark == f"{light}-dark"
 
 
 def test_the_citation_has_the_version_of_the_package():

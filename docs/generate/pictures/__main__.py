@@ -1,4 +1,7 @@
-"""Write the clips and the strip of README: `python -m docs.generate.pictures [NAME ...]`."""
+"""Write the clips and the strip of README: `python -m docs.generate.pictures [NAME ...]`.
+
+`--dark` writes only the dark variants of the stored pictures.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import jax
 import numpy as np
 
 from docs.generate.pictures import motions, plane
-from docs.generate.pictures.painting import save
+from docs.generate.pictures.painting import save, save_dark
 
 FOLDER = Path(__file__).parents[2] / "clips"
 CLIPS = {
@@ -24,19 +27,26 @@ CLIPS = {
 STRIP = ("walking_policy", "contact", "parking_a_trailer", "flexible", "first_hour")
 
 
-def main(names: list[str]) -> None:
+def frames_of(name: str) -> list[np.ndarray]:
+    """The frames of a clip, or of the strip: clips side by side."""
+    if name != "strip":
+        return list(CLIPS[name]((270, 180)))
+    panels = [list(CLIPS[panel]((152, 150))) for panel in STRIP]
+    gap = np.full((150, 10, 3), 255, np.uint8)
+    rows = (
+        [x for part in parts for x in (gap, part[..., :3])] for parts in zip(*panels, strict=True)
+    )
+    return [np.concatenate(row[1:], axis=1) for row in rows]
+
+
+def main(arguments: list[str]) -> None:
     """Write the named clips, or all of them and the strip."""
+    names = [name for name in arguments if name != "--dark"]
     for name in names or [*CLIPS, "strip"]:
-        if name == "strip":
-            panels = [list(CLIPS[panel]((152, 150))) for panel in STRIP]
-            gap = np.full((150, 10, 3), 255, np.uint8)
-            frames = []
-            for parts in zip(*panels, strict=True):
-                row = [x for part in parts for x in (gap, part[..., :3])]
-                frames.append(np.concatenate(row[1:], axis=1))
-            save(frames, FOLDER / "strip.webp", 1_000_000)
-        else:
-            save(list(CLIPS[name]((270, 180))), FOLDER / f"{name}.webp", 150_000)
+        path, most = FOLDER / f"{name}.webp", 1_000_000 if name == "strip" else 150_000
+        if "--dark" not in arguments:
+            save(frames_of(name), path, most)
+        save_dark(path, most)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from rbjax.model import Model
 from rbjax.plotting.drawing import Stage, shapes_of
@@ -21,6 +21,10 @@ FPS = 12.5
 COUNT = 48
 #: s, the time of a frame after the first
 TIMES = np.arange(COUNT) / FPS
+#: the ground of a dark page of GitHub
+DARK = (13, 17, 23)
+#: CSS's hue-rotate(180deg)
+HUE = np.array([[-0.574, 1.43, 0.144], [0.426, 0.43, 0.144], [0.426, 1.43, -0.856]])
 #: qualities of WebP that are tried, from the best
 QUALITIES = (85, 75, 65, 55, 45, 35, 25, 15)
 
@@ -73,3 +77,17 @@ def save(frames: Sequence[np.ndarray], path: Path, most: int) -> None:
             print(f"{path.name}: {len(data) / 1e3:.0f} kB, quality {quality}")
             return
     raise ValueError(f"{path.name} has {len(data)} bytes at quality {quality}, expected {most}")
+
+
+def save_dark(path: Path, most: int) -> None:
+    """Write NAME-dark.webp beside a picture: lightness inverted, hues kept, as on the site's dark
+    pages (docs/generate/style_sheet.py)."""
+    with Image.open(path) as film:
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(film)]
+    save([darkened(frame) for frame in frames], path.with_stem(f"{path.stem}-dark"), most)
+
+
+def darkened(frame: np.ndarray) -> np.ndarray:
+    """Convert a frame for a dark page: black becomes white, and white the ground of the page."""
+    light = np.clip((1 - frame / 255) @ HUE.T, 0, 1)
+    return np.round(255 - (1 - light) * (255 - np.array(DARK))).astype(np.uint8)
