@@ -80,7 +80,7 @@ strobe(arm, reach.states.q[::10], ax=axes[0], source="arm7", camera=Camera(-30, 
 axes[0].axis("off")
 axes[1].step(reach.ts[:-1], reach.ctrl / limit, where="post")
 axes[1].set(xlabel="time [s]", ylabel="torque / limit", ylim=(-1.1, 1.1))
-axes[1].legend(arm.joint_names, fontsize=8.5, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+axes[1].legend(arm.joint_names, fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 axes[2].semilogy(reach.costs[: int(reach.iterations)], ".-")
 axes[2].set(xlabel="iteration", ylabel="cost")
 figure.tight_layout()

@@ -1,6 +1,7 @@
 """The files of .github/workflows are valid, and call targets that the Makefile has."""
 
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,14 @@ def test_targets_exist(path: Path) -> None:
     called = set()
     for job in workflow["jobs"].values():
         assert {"runs-on", "timeout-minutes", "steps"} <= job.keys()
+        matrix = job.get("strategy", {}).get("matrix", {})
+        assert {*re.findall(r"\$\{\{ *matrix\.(\w+) *\}\}", str(job))} == matrix.keys()
         for step in steps_of(job):
             assert ("run" in step) != ("uses" in step)
+            assert step.keys() <= {"name", "run", "uses", "with", "if", "env"}
+            assert re.fullmatch(r"[\w-]+/[\w-]+@v\d+", step.get("uses", "a/b@v1"))
+            shell = re.sub(r"\$\{\{.*?\}\}", "x", step.get("run", "true"))
+            subprocess.run(["bash", "-n", "-c", shell], check=True)
             called |= {*re.findall(r"\bmake ([\w-]+)", step.get("run", ""))}
     assert called and called <= targets, called - targets
     assert True in workflow  # `on:` is true in YAML 1.1
