@@ -117,6 +117,9 @@ def test_a_box_that_lands_on_four_corners():
     np.testing.assert_allclose(found.v, [0, 0, 0.4, 0, 0, 0], atol=1e-10)
     np.testing.assert_allclose(found.impulses[:, 0].sum(), 2 * 1.4, rtol=1e-10)
     assert found.success
+    oblique = state.replace(v=jnp.array([1.0, 0, -1, 0.3, 0, 2.0]))
+    few = rb.contact.impulse(model, oblique, restitution=0.4, friction=0.5, sweeps=1)
+    assert not few.success and few.residual > 1e-12
 
 
 def test_batches_and_single_precision():

@@ -37,6 +37,8 @@ def test_the_recursion_by_numpy():
         if k % 20 == 0:
             assert relative_error(law.K[k], K) < 1e-9
     assert relative_error(law.P[0], P) < 1e-9
+    without_cost = time_varying_lqr(model, path, u, DT, Q, np.negative(R), END)
+    assert not without_cost.success
 
 
 @pytest.mark.slow

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 import rbjax.flexible.reference as rf
-from tests.flexible.reference.formulations import BEAMS, CABLE, REISSNER, VOLUME, each, elements
+from rbjax.errors import RbjaxError
+from tests.flexible.reference.formulations import (
+    BEAMS,
+    CABLE,
+    REISSNER,
+    SLENDER,
+    VOLUME,
+    each,
+    elements,
+)
 
 TIMES = (1, 2.5, 5, 7.5)
 
@@ -78,3 +87,12 @@ def test_spin_up(beam, axial, across):
     assert abs(t[tip[:, 1].argmin()] - at) < 2 * dt
     extension = BEAMS["spin_up_beam"]["steady_extension_linear"]
     assert abs(tip[t > 17, 0].mean() - extension) < 0.01 * extension
+
+
+def test_failure_of_newton_is_said():
+    """A force of 1 kN on the end of a slender cantilever, in one step."""
+    mesh = REISSNER.build(rf.line(), 1.0, SLENDER, 4)
+    wrenches = np.zeros((1, len(mesh.q), 6))
+    wrenches[:, -1, 1] = 1e3
+    with pytest.raises(RbjaxError, match="did not converge in step 1 of 1"):
+        rf.simulate(mesh, wrenches, 0.01, REISSNER.supports(mesh))
