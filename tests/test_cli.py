@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import rbjax as rb
 from rbjax.cli import app
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 
 
 def run(*args: str, code: int = 0):
@@ -34,7 +34,7 @@ def test_the_demo_says_each_step_where_there_is_no_terminal(
     def part(folder, say, **options):
         say("first [of two]")
         say("second")
-        return Section("Part", ("Words.",))
+        return ReportSection("Part", ("Words.",))
 
     monkeypatch.setattr("rbjax.demo.run.PARTS", {"motion": (part, 1.0)})
     result = run("demo", "--out", str(tmp_path))
@@ -47,7 +47,7 @@ def test_the_demo_runs_its_long_parts_if_asked(
 ) -> None:
     def part(folder, say, name):
         say(name)
-        return Section(name, ("Words.",))
+        return ReportSection(name, ("Words.",))
 
     parts = {n: (functools.partial(part, name=n), 1.0) for n in ("motion", "loops")}
     monkeypatch.setattr("rbjax.demo.run.PARTS", parts)

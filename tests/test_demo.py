@@ -13,7 +13,7 @@ from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.demo.run import CONCURRENT, PARTS, _in_order
 from rbjax.demo.validate import validate
 from rbjax.errors import RbjaxError
@@ -28,7 +28,7 @@ def quiet(text: str) -> None:
     pass
 
 
-def check(section: Section, folder: Path) -> None:
+def check(section: ReportSection, folder: Path) -> None:
     assert section.text
     for name, caption in section.pictures:
         assert caption and (folder / name).stat().st_size > 5_000
@@ -79,14 +79,14 @@ def test_notebooks_run_beside_the_parts_that_measure_no_time() -> None:
     together = threading.Barrier(2, timeout=10)
     active: set[str] = set()
 
-    def run(name: str) -> Section:
+    def run(name: str) -> ReportSection:
         if name == "motion" or name == "integrators":
             assert not active & set(CONCURRENT)
         active.add(name)
         if name in ("validate", "forces"):
             together.wait()
         active.remove(name)
-        return Section(name, ("text",))
+        return ReportSection(name, ("text",))
 
     order = ["motion", "validate", "identify", "integrators", *CONCURRENT]
     assert [section.title for section in _in_order(order, run)] == order
@@ -94,10 +94,10 @@ def test_notebooks_run_beside_the_parts_that_measure_no_time() -> None:
 
 
 def test_an_error_in_a_notebook_ends_the_demo() -> None:
-    def run(name: str) -> Section:
+    def run(name: str) -> ReportSection:
         if name == "forces":
             raise RbjaxError("no forces")
-        return Section(name, ("text",))
+        return ReportSection(name, ("text",))
 
     with pytest.raises(RbjaxError, match="no forces"):
         _in_order(["validate", "forces"], run)

@@ -132,7 +132,7 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
             rb.recommend.solver(model, state, accuracy, horizon=horizon)
     for start, accuracy, words in (
         (rb.State(np.array([np.nan]), np.zeros(1)), 1e-6, r"recommend: q\[0\] is nan"),
-        ((np.zeros(1), np.zeros(1)), 1e-6, "state is tuple, expected rbjax.State"),
+        ((np.zeros(1), np.zeros(1)), 1e-6, "expected rbjax.State"),
         (rb.State(np.zeros(2), np.zeros(1)), 1e-6, r"q has shape \(2,\), expected \(1,\)"),
         (state, "1e-6", "accuracy is '1e-6', expected a number"),
         (state, None, "accuracy is None, expected a number"),

@@ -267,7 +267,7 @@ def test_no_public_function_is_missing() -> None:
         (lambda m, q, v: rb.bias_forces(m, 0 * q, v), ["q[2:6]", "zero quaternion"]),
         (lambda m, q, v: rb.bias_forces(m, q + 0j, v), ["complex", "float32 or float64"]),
         (lambda m, q, v: rb.bias_forces(m, q, "fast"), ["v is str", "array"]),
-        (lambda m, q, v: rb.bias_forces("robot", q, v), ["str", "Model"]),
+        (lambda m, q, v: rb.bias_forces("robot", q, v), ["'robot'", "Model"]),
         (lambda m, q, v: rb.applied_forces(m, q), ["state", "State(q, v)"]),
         (lambda m, q, v: rb.applied_forces(m, rb.State(q, v), v[:1]), ["ctrl", "(5,)"]),
         (lambda m, q, v: rb.jacobian(m, q, "hand", point=v), ["point", "(3,)"]),

@@ -114,7 +114,7 @@ class Air(rb.forces.Element):
     drag: jax.Array  # (nb,) N m s^2/rad^2
 
     def loads(self, context: rb.forces.Context) -> rb.forces.Loads:
-        def turn(body: rb.forces.Frame, drag: Any) -> rb.forces.Loads:
+        def turn(body: rb.forces.FrameState, drag: Any) -> rb.forces.Loads:
             w = body.angular_velocity
             return body.push(jnp.zeros(3), w * (-drag * w.norm(1e-6)))
 

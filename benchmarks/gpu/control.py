@@ -28,7 +28,7 @@ from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.shooting import ddp, expansion, sqp
 from rbjax.control.optimal.shooting.search import compute_gains, initial_iterate, iterate
-from rbjax.control.optimal.solution import Options, StoppingRule
+from rbjax.control.optimal.solution import SolveOptions, StoppingRule
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",
@@ -82,7 +82,7 @@ def search(arm: Arm, N: int, way: str, count: jax.Array, state: rb.State, target
     """So many iterations of one problem."""
     problem, knots, us = arm.given(N, state, target)
     zero = jnp.zeros((), jnp.float32)
-    options = Options(StoppingRule(zero, zero, count))
+    options = SolveOptions(StoppingRule(zero, zero, count))
     last = iterate(WAYS[way], problem, state, knots, us, options, MOST, False)
     at = last.search
     return at.cost, at.expected_decrease, at.iterations, last.ctrl

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.llvm.batch import Parts
+from rbjax.compiler.llvm.batch import BatchParts
 from rbjax.compiler.llvm.jit import Module
 
 #: a part as the function that `llvm_jit` looks for
@@ -21,7 +21,7 @@ define i32 @run(ptr %buffers, i64 %index) {
 """
 
 
-def part_function(parts: Parts) -> tuple[Callable[[Sequence[np.ndarray]], None], Any]:
+def part_function(parts: BatchParts) -> tuple[Callable[[Sequence[np.ndarray]], None], Any]:
     """All parts of a batch as a function of the arrays of operands and results; and its code."""
     code = llvm_jit.compile_module(Module(parts.text + RUN, parts.libm))
     part = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64)(code.address)

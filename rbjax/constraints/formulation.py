@@ -324,7 +324,7 @@ def kinds() -> dict[str, type[Constraint]]:
     """
     rooms = pairs, couplings, curve, functions, rolling, tendons
     every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
-    bases = Constraint, pairs.Pair, pairs.HalfAngle, rolling.Rolling
+    bases = Constraint, pairs.Pair, pairs.HalfAngle, rolling.RollingWheel
     found = {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
     return found | {x.__name__: x for x in (QuaternionWeld, Soft)}
 

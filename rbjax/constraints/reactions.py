@@ -22,7 +22,7 @@ from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes.arrays import pack
@@ -196,7 +196,7 @@ def body_reactions(
     out: dict[int, Force] = {}
     at = 0
 
-    def put(body: int, frame: Frame, wrench: Force) -> None:
+    def put(body: int, frame: FrameState, wrench: Force) -> None:
         if body == WORLD:
             return
         force, torque = frame.rotation @ wrench.lin, frame.rotation @ wrench.ang
@@ -225,7 +225,9 @@ def _body_of(model: Model, place: Any) -> int:
     return WORLD if place.body in (None, WORLD) else model.body(place.body)
 
 
-def _wrenches_of_pair(context: Context, joint: Pair, l: jax.Array) -> list[tuple[Frame, Force]]:
+def _wrenches_of_pair(
+    context: Context, joint: Pair, l: jax.Array
+) -> list[tuple[FrameState, Force]]:
     """Return the frames a and b of a pair, and the wrench on each at its origin and in its axes."""
     places = ((joint.a, START), (joint.b, END))
     ends = [_End(context, place.frame(context), index) for place, index in places]
@@ -240,18 +242,18 @@ def _wrenches_of_pair(context: Context, joint: Pair, l: jax.Array) -> list[tuple
 START, END = -3, -2  # indices that recording frames use instead of a link; WORLD is -1
 
 
-class _End(Frame):
+class _End(FrameState):
     """A frame that records the wrenches on it, in its own axes and at its origin.
 
     Wrenches are recorded by frame and not by link, because both frames of a constraint may be on
     one link, and a frame may be on the world.
     """
 
-    def __init__(self, context: Context, frame: Frame, index: int, *moved: Transform):
+    def __init__(self, context: Context, frame: FrameState, index: int, *moved: Transform):
         super().__init__(context.links, frame.link, *frame._placed, *moved)
         self._now, self._frame, self._index, self._moved = context, frame, index, moved
 
-    def then(self, placed: Transform) -> Frame:
+    def then(self, placed: Transform) -> FrameState:
         return _End(self._now, self._frame, self._index, *self._moved, placed)
 
     def push_own(self, wrench: Force) -> Loads:

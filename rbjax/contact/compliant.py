@@ -31,7 +31,7 @@ from rbjax.contact.impacts.impulses import check_pairs
 from rbjax.contact.impacts.point_velocity import file_friction
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model
@@ -164,7 +164,7 @@ class CompliantContact(Element):
                 total = add(total, mul(k / (p + 1.0), mul(x, _power(x, p))))
         return total
 
-    def _contacts(self, now: Context) -> list[tuple[Frame, Frame, list[Contact]]]:
+    def _contacts(self, now: Context) -> list[tuple[FrameState, FrameState, list[Contact]]]:
         """Return the two bodies and the candidate contacts of each pair."""
         geoms, dtype = now.model.geoms, now.q.dtype
         if geoms is None:
@@ -182,7 +182,7 @@ class CompliantContact(Element):
         return out
 
     def _push(
-        self, a: Frame, b: Frame, contact: Contact, k: Lane, d: Lane, mu: Lane, dtype: Any
+        self, a: FrameState, b: FrameState, contact: Contact, k: Lane, d: Lane, mu: Lane, dtype: Any
     ) -> Loads:
         """Return the loads of one contact: the force on body b at the contact, and its reaction on
         a.
@@ -201,7 +201,7 @@ class CompliantContact(Element):
         return b.push(force, at=at) + a.push(-force, at=at)
 
 
-def _velocity(body: Frame, at: Vec3) -> Vec3:
+def _velocity(body: FrameState, at: Vec3) -> Vec3:
     """Return the velocity of the point of a body that is now at a point of the world."""
     return body.velocity + body.angular_velocity.cross(at - body.position)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.loading import load
 from rbjax.model import Model
 from rbjax.plotting import BLUE, GRID, INK, ORANGE, STYLE
@@ -62,7 +62,7 @@ def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
     return ctrls, clean, clean + NOISE * np.random.default_rng(0).normal(size=clean.shape)
 
 
-def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> Section:
+def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> ReportSection:
     """Run the identification: measure, fit and draw. Return the section of the report."""
     say("identification: MuJoCo measures, Gauss-Newton compiles")
     model = load("arm7").replace(driver="rolled")
@@ -95,7 +95,7 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
         f"The fit evaluated the simulation with its exact derivatives {found.evaluations} times. "
         f"The RMS residual of {rms:.2f} mrad is the noise. {found.identifiable.summary()}",
     )
-    return Section(
+    return ReportSection(
         "Identify a robot: mass, centre of mass and damping at once",
         text,
         (("identify.png", "Left: simulated minus measured, with the file's values and after the "

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.loading import load
 from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
@@ -166,7 +166,7 @@ def integrators(
     batch: int = 32,
     refined: tuple[int, ...] = REFINED,
     mjx: bool = True,
-) -> Section:
+) -> ReportSection:
     """Measure time and error of the integrators, and draw them. Return the section of the
     report."""
     found = {scene: measure(scene, batch, refined, say, mjx) for scene in scenes}
@@ -182,7 +182,7 @@ def integrators(
         "highest throughput. `simulate` runs any diffrax solver, whose higher order is faster if "
         "more than a few digits are needed.",
     )
-    return Section(
+    return ReportSection(
         "Time against error: integrators of rbjax and MJX",
         text,
         (("integrators.png", "Computing time for a second of one robot's motion, against the "

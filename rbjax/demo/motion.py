@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.contact import ContactForces, solve
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.loading import compile_model, load
 from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
@@ -218,11 +218,11 @@ def motion(
     *,
     batch: int = 256,
     scenes: tuple[str, ...] = tuple(SHOWS),
-) -> Section:
+) -> ReportSection:
     """Simulate batches of the scenes and draw them. Return the section of the report."""
     with jax.enable_x64(False):
         rows = gallery(folder, say, batch=batch, scenes=scenes)
-    return Section(
+    return ReportSection(
         "Simulate a batch",
         ("A robot file goes in, a batch of motions comes out. Below is one of each batch.",),
         (

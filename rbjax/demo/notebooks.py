@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.errors import RbjaxError
 
 #: where the wheel has the notebooks, which stand in `notebooks/` of a checkout
@@ -39,7 +39,7 @@ def cells(source: str) -> Iterator[tuple[bool, str]]:
 
 def notebook(
     folder: Path, say: Callable[[str], None], *, name: str, notebooks: Path = FOLDER
-) -> Section:
+) -> ReportSection:
     """Run a notebook and make a section of the report from it.
 
     Raises:
@@ -57,7 +57,7 @@ def notebook(
     if run.returncode:
         raise RbjaxError(f"the notebook {source} failed:\n{run.stderr[-2000:]}")
     pictures = json.loads(run.stdout.splitlines()[-1])
-    return Section(
+    return ReportSection(
         title.removeprefix("# "),
         (rest.strip().split("\n\n")[0].replace("\n", " "),),
         tuple((file, caption) for file, caption in pictures),

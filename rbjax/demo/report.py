@@ -10,7 +10,7 @@ from rbjax.html_page import code, element, link, page, picture, table
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """A part of the report."""
 
     title: str
@@ -24,7 +24,9 @@ class Section:
     seconds: float = field(default=0.0)  # the computing time
 
 
-def write(folder: Path, title: str, lead: str, sections: Sequence[Section], footer: str) -> Path:
+def write(
+    folder: Path, title: str, lead: str, sections: Sequence[ReportSection], footer: str
+) -> Path:
     """Write report.md, and report.html with embedded pictures. Return the path of report.html."""
     (folder / "report.md").write_text(_markdown(title, lead, sections, footer))
     path = folder / "report.html"
@@ -32,7 +34,7 @@ def write(folder: Path, title: str, lead: str, sections: Sequence[Section], foot
     return path
 
 
-def _markdown(title: str, lead: str, sections: Sequence[Section], footer: str) -> str:
+def _markdown(title: str, lead: str, sections: Sequence[ReportSection], footer: str) -> str:
     out = [f"# {title}", lead]
     for s in sections:
         out += [f"## {s.title}", *s.text]
@@ -48,7 +50,9 @@ def _markdown(title: str, lead: str, sections: Sequence[Section], footer: str) -
     return "\n\n".join([*out, "---", footer]) + "\n"
 
 
-def _html(folder: Path, title: str, lead: str, sections: Sequence[Section], footer: str) -> str:
+def _html(
+    folder: Path, title: str, lead: str, sections: Sequence[ReportSection], footer: str
+) -> str:
     body: list[str] = []
     for s in sections:
         body.append(element("h2", s.title))

@@ -24,11 +24,11 @@ from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
 from rbjax.demo.notebooks import FOLDER, NOTEBOOKS, notebook
-from rbjax.demo.report import Section, write
+from rbjax.demo.report import ReportSection, write
 from rbjax.demo.validate import validate
 
 #: section -> its function, and its weight in progress bars
-PARTS: dict[str, tuple[Callable[..., Section], float]] = {
+PARTS: dict[str, tuple[Callable[..., ReportSection], float]] = {
     "motion": (motion, 15),
     "validate": (validate, 35),
     "identify": (identify, 15),
@@ -83,7 +83,7 @@ def demo(
     given = {n: (options or {}).get(n, {} if n in short else None) for n in PARTS}
     chosen = {name: x for name, x in given.items() if x is not None}
 
-    def run(name: str) -> Section:
+    def run(name: str) -> ReportSection:
         (part, share), start = PARTS[name], time.perf_counter()
         section = part(folder, say, **chosen[name])
         done(name, share)
@@ -102,12 +102,12 @@ def demo(
     return write(folder, "rbjax: a robot file in, motion out", _LEAD, sections, footer)
 
 
-def _in_order(names: list[str], run: Callable[[str], Section]) -> list[Section]:
+def _in_order(names: list[str], run: Callable[[str], ReportSection]) -> list[ReportSection]:
     """Run parts and return their sections in the given order. The notebooks of `CONCURRENT` run
     during the parts of `UNTIMED`, so that no measured time is disturbed."""
     concurrent = [n for n in names if n in CONCURRENT] if any(n in names for n in UNTIMED) else []
-    found: dict[str, Section] = {}
-    running: dict[str, Future[Section]] = {}
+    found: dict[str, ReportSection] = {}
+    running: dict[str, Future[ReportSection]] = {}
     with ThreadPoolExecutor(1) as pool:
         for name in names:
             if name in concurrent:

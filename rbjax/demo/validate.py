@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from rbjax.demo.report import Section
+from rbjax.demo.report import ReportSection
 from rbjax.validation import Report, compare
 
 #: scene -> whether to compare the gradient of its trajectory too
@@ -25,7 +25,7 @@ SCENES = {
 
 def validate(
     folder: Path, say: Callable[[str], None], *, scenes: dict[str, bool] | None = None
-) -> Section:
+) -> ReportSection:
     """Compare the scenes with MuJoCo C, and make a table. Return the section of the report."""
     chosen = SCENES if scenes is None else scenes
 
@@ -61,7 +61,7 @@ def validate(
         f"{passed} of {len(reports)} scenes are within tolerance (1e-10 in f64 and 1e-4 in f32 for "
         "functions of one state; trajectories may amplify rounding as those of MuJoCo do).",
     )
-    return Section(
+    return ReportSection(
         "Validate: against MuJoCo C",
         text,
         columns=("scene", *(f"{n} ({c[6:]})" for n, c in columns), "passed"),

@@ -1,7 +1,7 @@
 """Forces on a robot: springs, dampers, actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
-from rbjax.forces.context import Context, Frame, on_each
+from rbjax.forces.context import Context, FrameState, on_each
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid import EllipsoidFluid, InertiaBoxFluid
 from rbjax.forces.gravity_compensation import GravityCompensation
@@ -22,7 +22,7 @@ __all__ = [
     "Cable",
     "Element",
     "EllipsoidFluid",
-    "Frame",
+    "FrameState",
     "GearLoss",
     "GravityCompensation",
     "InertiaBoxFluid",

@@ -89,7 +89,7 @@ def _given(element: Element, seen: Context) -> Loads:
     if not isinstance(found, Loads):
         raise InputError(
             f"{type(element).__name__}.loads returned {type(found).__name__}, expected Loads: "
-            "what Frame.push and JointState.push return, and sums of these"
+            "what FrameState.push and JointState.push return, and sums of these"
         )
     return found
 

@@ -27,8 +27,7 @@ from rbjax.forces.element import Loads
 from rbjax.forces.joint_state import JointState
 from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal
-from rbjax.model import WORLD, Model, State, without_constants
-from rbjax.model import Frame as NamedFrame
+from rbjax.model import WORLD, Frame, Model, State, without_constants
 from rbjax.model.leaves import frame_transform, site_transform, table
 from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
@@ -102,24 +101,24 @@ class Context:
             self.found[id(key)] = key, make()
         return self.found[id(key)][1]
 
-    def link(self, link: int) -> Frame:
+    def link(self, link: int) -> FrameState:
         """Return the frame of a link."""
-        return Frame(self.links, link)
+        return FrameState(self.links, link)
 
-    def body(self, body: str | int) -> Frame:
+    def body(self, body: str | int) -> FrameState:
         """Return the frame of a body."""
         if isinstance(body, int) and body == WORLD:
-            return Frame(self.links, WORLD)
+            return FrameState(self.links, WORLD)
         b = self.model.body(body)
-        return Frame(self.links, self.model.topology.body_links[b], self.links.weld(b))
+        return FrameState(self.links, self.model.topology.body_links[b], self.links.weld(b))
 
-    def site(self, site: str | int) -> Frame:
+    def site(self, site: str | int) -> FrameState:
         """Return the frame of a site."""
         s = self.model.site(site)
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
-    def frame(self, at: NamedFrame) -> Frame:
+    def frame(self, at: Frame) -> FrameState:
         """Return the frame of an `rb.Frame`."""
         body, placed = frame_transform(self.model, at, self.q.dtype)
         return self.body(body).then(placed)
@@ -150,17 +149,17 @@ class Context:
         return d.pack(generalized_of_links(d, self.links.joints, wrenches), self.v)
 
 
-class Frame:
+class FrameState:
     """A frame of a body or site, fixed to a link, at an instant."""
 
     def __init__(self, links: LinkMotion, link: int, *placed: Transform):
         self._links, self.link, self._placed = links, link, placed
 
-    def then(self, placed: Transform) -> Frame:
+    def then(self, placed: Transform) -> FrameState:
         """Return the frame with the pose `placed` in this frame."""
-        return Frame(self._links, self.link, *self._placed, placed)
+        return FrameState(self._links, self.link, *self._placed, placed)
 
-    def at(self, point: Any) -> Frame:
+    def at(self, point: Any) -> FrameState:
         """Return the parallel frame with its origin at a point (3,) in this frame."""
         return self.then(Transform(Mat3.identity(), _vector("at", point)))
 
@@ -329,7 +328,7 @@ def on_each(
         given = [x if is_literal(x) else next(left) for x in leaves]
         pose, twist, weld, own = jax.tree.unflatten(tree, given)
         links: Any = _Still(pose, twist)
-        found: Any = act(Frame(links, _OWN, weld), *own)
+        found: Any = act(FrameState(links, _OWN, weld), *own)
         if found.tau or isinstance(found.wrenches, Force) or found.wrenches.keys() - {_OWN}:
             raise _NotItsOwn
         force = found.wrenches.get(_OWN, Force.zero())

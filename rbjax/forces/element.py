@@ -38,7 +38,7 @@ Shapes = Mapping[str, tuple[int | None, ...]]
 
 @dataclass(frozen=True)
 class Loads:
-    """Forces on a robot, which can be added. `Frame.push` and `JointState.push` make them.
+    """Forces on a robot, which can be added. `FrameState.push` and `JointState.push` make them.
 
     tau: generalized forces by dof.
     wrenches: forces by link, in link axes at the link's origin, or columns over all links.

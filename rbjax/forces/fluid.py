@@ -38,7 +38,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.context import Context, Frame, frames_of, on_each
+from rbjax.forces.context import Context, FrameState, frames_of, on_each
 from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, neg, quaternion_matrix, safe_sqrt
@@ -172,7 +172,7 @@ def _against(u: Vec3, viscous: Lane, quadratic: Vec3) -> Vec3:
     return -Vec3(*(mul(add(viscous, mul(c, abs(x))), x) for x, c in zip(u, quadratic, strict=True)))
 
 
-def relative_twist(frame: Frame, wind: Vec3) -> Motion:
+def relative_twist(frame: FrameState, wind: Vec3) -> Motion:
     """Compute the twist of a frame relative to a fluid that flows at `wind` without rotation."""
     V = frame.twist
     if all(map(is_zero, wind)):
@@ -187,7 +187,7 @@ def _loads(
     the fluid."""
     flow = in_lanes(wind, context)
 
-    def acted(frame: Frame, axes: Mat3, position: Vec3, own: Any) -> Loads:
+    def acted(frame: FrameState, axes: Mat3, position: Vec3, own: Any) -> Loads:
         here = frame.then(Transform(axes, position))
         return here.push_own(own.wrench(relative_twist(here, flow)))
 
@@ -206,7 +206,7 @@ def _slopes(
 
 
 def wrench_slopes(
-    frame: Frame, wrench: Callable[[Motion], Force], V: Motion, dtype: Any
+    frame: FrameState, wrench: Callable[[Motion], Force], V: Motion, dtype: Any
 ) -> list[Slope]:
     """Compute the damping of a wrench on a frame that depends on its twist V, in frame axes."""
     at = [jnp.asarray(x, dtype) for x in V]

@@ -12,10 +12,9 @@ import numpy as np
 from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Vec3, quaternion_matrix
-from rbjax.model import WORLD
-from rbjax.model import Frame as FixedFrame
+from rbjax.model import WORLD, Frame
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.record import Record, check_fields
@@ -66,13 +65,13 @@ class Place(Record):
         axis = check_array("Place.on", "axis", axis, (3,)).astype(float)
         return cls(point, turn_z_to(axis), body, site)
 
-    def frame(self, context: Context) -> Frame:
+    def frame(self, context: Context) -> FrameState:
         """Return the frame at an instant."""
         quat = table(self.orientation, context.q.dtype)
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
         return _named_frame(self, context).then(Transform(turn, self._position(context)))
 
-    def point(self, context: Context) -> Frame:
+    def point(self, context: Context) -> FrameState:
         """Return the frame with the same origin, in the axes of the body or site."""
         return _named_frame(self, context).at(self._position(context))
 
@@ -94,7 +93,7 @@ def _check_named(place: Any) -> None:
             raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
 
 
-def _named_frame(place: Any, context: Context) -> Frame:
+def _named_frame(place: Any, context: Context) -> FrameState:
     """Return the frame of the body or site of a place; the world's if both are None."""
     if place.site is not None:
         return context.site(place.site)
@@ -103,7 +102,7 @@ def _named_frame(place: Any, context: Context) -> Frame:
 
 def as_place(given: Any) -> Any:
     """Convert an `rb.Frame` to a place, as a field's converter. Return anything else unchanged."""
-    if not isinstance(given, FixedFrame):
+    if not isinstance(given, Frame):
         return given
     if given.geom is not None or given.center is not None:
         raise InputError(
@@ -118,7 +117,7 @@ def as_place(given: Any) -> Any:
     place = Place.on(body=None if body == "world" else body, site=site, point=point)
     if given.orientation is None:
         return place
-    turn = check_array("Frame", "orientation", given.orientation, (4,)).astype(float)
+    turn = check_array("FrameState", "orientation", given.orientation, (4,)).astype(float)
     return Place(place.position, quaternion.normalize(turn), place.body, site)
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rbjax.dynamics.algorithms.kinematics import LinkMotion
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Lane, Vec3, add, mul, total
 from rbjax.model import WORLD, Topology
 from rbjax.rotations.coefficients import where
@@ -60,7 +60,9 @@ class Piece(NamedTuple):
     bodies: tuple[int, int]
 
 
-def arms_between(context: Context, site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
+def arms_between(
+    context: Context, site: FrameState, base: FrameState, force: Vec3, torque: Vec3
+) -> Arms:
     """Compute the moment arms of a force and torque (world axes) on `site` and of their reaction on
     `base`."""
     action, reaction = site.world_arms(force, torque), base.world_arms(-force, -torque)
@@ -74,7 +76,7 @@ def opposed_arms(a: Arms, b: Arms, flexible: Container[int] = ()) -> Arms:
     return out | {n: add(a[n], b[n]) for n in a if n in b and n in flexible}
 
 
-def flexible_dofs(top: Topology, site: Frame, base: Frame) -> set[int]:
+def flexible_dofs(top: Topology, site: FrameState, base: FrameState) -> set[int]:
     """Return the coordinates of flexible links that have a frame on the path between two frames."""
     one, other = (set() if x.link == WORLD else {*top.ancestors[x.link]} for x in (site, base))
     return {n for link in one ^ other if link >= top.nv for n in top.links[link].v}

@@ -25,7 +25,7 @@ from rbjax.rotations import quaternion
 SPREAD = 0.5
 
 
-class Bounded(NamedTuple):
+class BoundedCoordinate(NamedTuple):
     """A coordinate with a range: its indices in q and in v, and its bounds."""
 
     q: int
@@ -34,7 +34,7 @@ class Bounded(NamedTuple):
     upper: Lane
 
 
-class Ball(NamedTuple):
+class BallRange(NamedTuple):
     """A ball joint with a range: its slices of q and v, and its largest angle, rad."""
 
     q: slice
@@ -46,8 +46,8 @@ class Ranges:
     """The joint ranges of a model, as lanes. It is empty if `limits` is false."""
 
     def __init__(self, model: Model, dtype: Any, limits: bool = True):
-        self.bounded: list[Bounded] = []
-        self.balls: list[Ball] = []
+        self.bounded: list[BoundedCoordinate] = []
+        self.balls: list[BallRange] = []
         if not limits:
             return
         rows = table(model.joints.range, dtype)
@@ -56,13 +56,13 @@ class Ranges:
             if is_literal(lower) and is_literal(upper) and np.isinf([lower, upper]).all():
                 continue
             if joint.nv == 1 and not span.attitude:
-                at = Bounded(
+                at = BoundedCoordinate(
                     span.q.start, span.v.start, jnp.asarray(lower, dtype), jnp.asarray(upper, dtype)
                 )
                 self.bounded.append(at)
             elif joint.name == "ball":
                 turn, by = span.attitude
-                self.balls.append(Ball(turn, by, jnp.asarray(upper, dtype)))
+                self.balls.append(BallRange(turn, by, jnp.asarray(upper, dtype)))
 
     def within(self, q: Sequence[Lane]) -> list[Lane]:
         """Return the configuration with each joint projected to the nearest point of its range."""

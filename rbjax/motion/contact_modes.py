@@ -45,7 +45,7 @@ class Mode(NamedTuple):
     direction: jax.Array
 
 
-class ContactForces(NamedTuple):
+class ContactsOfState(NamedTuple):
     """The contacts at a state.
 
     Fields:
@@ -83,13 +83,13 @@ class ContactSystem(eqx.Module):
         return State(unit_quaternions(self.model.topology, y.q), y.v, y.x)
 
     @functools.cached_property
-    def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactForces]]:
+    def motion(self) -> Callable[[Any, State, Mode], tuple[jax.Array, Any, ContactsOfState]]:
         """The function (t, y, mode) -> v', x' and the contacts. All loops of a motion share its
         trace, and for few contacts its program and derivatives, which compiles faster."""
         shared = one_program if len(self.friction) <= FEW else jax.jit
         return shared(lambda t, y, mode: self._motion(t, y, mode))
 
-    def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactForces]:
+    def _motion(self, t: Any, y: State, mode: Mode) -> tuple[jax.Array, Any, ContactsOfState]:
         at, t = self.unit(y), self.start + t
         inputs = evaluated("simulate_impacts", self.model, self.inputs, t, at)
         a, x = Field(self.model, self.dynamics).rates(t, at, inputs)
@@ -101,7 +101,7 @@ class ContactSystem(eqx.Module):
         J, Y = problem.J, problem.Y
         free = matvec(J, a) + bias
         f = kept_forces(problem.D, free, problem.u, self.friction, mode)
-        return a + matvec(Y, f.reshape(-1)), x, ContactForces(contacts, J, problem, Y, f)
+        return a + matvec(Y, f.reshape(-1)), x, ContactsOfState(contacts, J, problem, Y, f)
 
     def slip(self, q: jax.Array, v: jax.Array) -> tuple[jax.Array, Contacts]:
         """Return the relative velocities u (n, 3), and the candidate contacts at any distance."""
@@ -117,7 +117,7 @@ class ContactSystem(eqx.Module):
         """
         return self.guards_of(self.motion(t, y, mode)[2], mode)
 
-    def guards_of(self, found: ContactForces, mode: Mode) -> jax.Array:
+    def guards_of(self, found: ContactsOfState, mode: Mode) -> jax.Array:
         """Compute the guards (4, n) of `guards`, from contact forces that are found already."""
         mu, far = self.friction, jnp.inf
         rubs = mode.kept & (mu > 0) & jnp.isfinite(mu)

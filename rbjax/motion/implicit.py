@@ -32,7 +32,12 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.constrained.differential_algebraic import Equations, Point, damp_error, solve
+from rbjax.solvers.constrained.differential_algebraic import (
+    AlgebraicEquations,
+    StepStart,
+    damp_error,
+    solve,
+)
 from rbjax.solvers.constrained.simplified import weight, weights
 from rbjax.solvers.groups import unwrap
 from rbjax.solvers.multistep import BackwardDifference
@@ -48,7 +53,7 @@ FITTING = (
 )  # fmt: skip
 
 
-class Stages(NamedTuple):
+class ImplicitStages(NamedTuple):
     """The stages of an implicit Runge-Kutta step.
 
     k: (s, 2 nv + nx) rates of the stages, times h.
@@ -60,7 +65,7 @@ class Stages(NamedTuple):
     k: jax.Array
     w: jax.Array
     ok: jax.Array
-    start: Point
+    start: StepStart
 
     def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
         """Return the coefficients of theta, theta^2, ... of the dense output of the increment."""
@@ -78,18 +83,18 @@ def stages(
     t: Any,
     state: State,
     h: Any,
-) -> Stages:
+) -> ImplicitStages:
     """Solve the equations of the stages of a Runge-Kutta step."""
     dtype = state.q.dtype
     equations, start = initial_equations(dynamics, model, forces, t, state)
     c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
-    return Stages(h * found.rates, found.w, found.ok, start)
+    return ImplicitStages(h * found.rates, found.w, found.ok, start)
 
 
 def error_of(
-    found: Stages,
+    found: ImplicitStages,
     dynamics: DifferentialAlgebraic,
     tableau: Tableau,
     model: Model,
@@ -113,7 +118,7 @@ def _padded(w: jax.Array, size: int) -> jax.Array:
 
 def initial_equations(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
-) -> tuple[Equations, Point]:
+) -> tuple[AlgebraicEquations, StepStart]:
     """Return the DAE relative to a state, and its initial rates and multipliers by the index-1
     formulation."""
     tau, f_ext, dx = forces(t, state)
@@ -123,16 +128,16 @@ def initial_equations(
     still = jnp.zeros_like(state.v)
     y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
     rate = jnp.concatenate([state.v, a, *([] if dx is None else [dx])])
-    return equations, Point(t, y, rate, w)
+    return equations, StepStart(t, y, rate, w)
 
 
 def equations_of(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
-) -> Equations:
+) -> AlgebraicEquations:
     """Return the DAE in increments relative to a state."""
     f = dynamics.equations(model, state.q, forces)
     depth, usual, again = dynamics.algebraic(model, t, state)
-    return Equations(f, depth, usual, model.nv, again)
+    return AlgebraicEquations(f, depth, usual, model.nv, again)
 
 
 def increment(model: Model, u: jax.Array) -> State:

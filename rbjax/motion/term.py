@@ -30,7 +30,7 @@ from rbjax.motion.implicit import BDFSolver, StagesSolver, tableau_of
 from rbjax.motion.solver_report import reports
 from rbjax.rotations import quaternion
 from rbjax.solvers import BDF, AbstractGroup, AbstractGroupSolver, OnGroup
-from rbjax.solvers.compensated import Wrapped
+from rbjax.solvers.compensated import WrappedSolver
 
 
 def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
@@ -108,7 +108,7 @@ class Manifold(AbstractGroup):
         return State(out, *jax.tree.map(jnp.zeros_like, (w.v, w.x)))
 
 
-class Momentum(eqx.Module):
+class MomentumFunction(eqx.Module):
     """The generalized momentum M v (nv,), with the arguments of a diffrax vector field."""
 
     model: Callable[[Any], Model]
@@ -139,7 +139,7 @@ def make_term(
     top = model.topology
     check_for_robots(solver)
     field = VectorField(inputs, of_args, dynamics, start, tangent=True)
-    term = OnGroup(field, Manifold(top), Momentum(of_args))
+    term = OnGroup(field, Manifold(top), MomentumFunction(of_args))
     return term, State(unit_quaternions(top, state.q), state.v, state.x)
 
 
@@ -155,7 +155,7 @@ def check_for_robots(solver: diffrax.AbstractSolver) -> None:
         )
 
 
-class ProjectedSolver(Wrapped):
+class ProjectedSolver(WrappedSolver):
     """A solver with the projections of a formulation: `stage_state` at the stages and at the end of
     each step, `project` after the step.
 
@@ -186,7 +186,7 @@ class ProjectedSolver(Wrapped):
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
 
 
-class ReportingSolver(Wrapped):
+class ReportingSolver(WrappedSolver):
     """A solver that reports the errors of the solver of a contact law, as its own state.
 
     The errors are integrated over each step with the weights of the stages, and only accepted

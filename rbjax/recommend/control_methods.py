@@ -23,7 +23,7 @@ from rbjax.status import Status
 SAME = 1e-6  # relative tolerance within which costs are equal
 
 
-class Trial(NamedTuple):
+class MethodTrial(NamedTuple):
     """A measured method."""
 
     name: str  # of the method
@@ -125,7 +125,9 @@ def control_method(
     return MethodRecommendation(best.name, best.cost, tuple(trials), why, best.objective, every)
 
 
-def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int) -> Trial:
+def _trial(
+    problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int
+) -> MethodTrial:
     def run(ctrls: jax.Array) -> Any:
         return solve(problem, start, method=name, ctrl=ctrls, iterations=iterations)
 
@@ -135,12 +137,12 @@ def _trial(problem: Problem, start: Any, name: str, guesses: jax.Array, iteratio
     failed = tuple(i for i, x in enumerate(statuses) if x != CONVERGED)
     status = Status(int(one.status)).text.split(":")[0]
     cost = float(one.cost) if np.isfinite(one.cost) else np.inf
-    return Trial(
+    return MethodTrial(
         name, status, cost, int(one.iterations), ms, 1 - len(failed) / len(guesses), failed
     )
 
 
-def _best(trials: Sequence[Trial]) -> Trial:
+def _best(trials: Sequence[MethodTrial]) -> MethodTrial:
     """Choose the fastest method with the least cost. If none converges, choose the least cost."""
     done = [t for t in trials if t.success]
     if not done:
@@ -150,7 +152,7 @@ def _best(trials: Sequence[Trial]) -> Trial:
     return min(equal, key=lambda t: t.cost)
 
 
-def _reason(best: Trial, trials: Sequence[Trial], guesses: int) -> str:
+def _reason(best: MethodTrial, trials: Sequence[MethodTrial], guesses: int) -> str:
     said = f"{best.name!r}: {best.status}"
     if best.success:
         said += (

@@ -32,7 +32,7 @@ from rbjax.recommend.manoeuvre import Demand, Manoeuvre, demand, first_lift
 from rbjax.recommend.recommendation import Recommendation, check_request, double
 from rbjax.wheeled import Robot, RobotModel, at, fidelities
 from rbjax.wheeled.models.robot_model import with_twist
-from rbjax.wheeled.models.rolling import Rolling
+from rbjax.wheeled.models.rolling import RollingModel
 from rbjax.wheeled.models.slipping import Slipping
 
 #: tried only on request, because it compiles slowly and costs more than equivalent fidelities
@@ -211,7 +211,7 @@ def _choose(run: Manoeuvre, models: Sequence[RobotModel], why_not: str) -> Fidel
         gap = run.deviation(paths[i], paths[i - 1]) if i else 0.0
         trials.append(trial(name, run.least[name], most, gap))
     best = min((x for x in trials if x.success), key=lambda x: x.cost)
-    if isinstance(run.models[best.name], Rolling) or best.name in ON_REQUEST:
+    if isinstance(run.models[best.name], RollingModel) or best.name in ON_REQUEST:
         least, most = run.least[best.name], ends[best.name]
         trials += [trial(name, least, most, best.gap) for name in equals]
         best = min((best, *(x for x in trials[-len(equals) :] if x.success)), key=lambda x: x.cost)
@@ -232,7 +232,7 @@ def _contacts(run: Manoeuvre, names: Sequence[str], paths: list[State]) -> tuple
         return unknown, math.nan
     run.say("contacts")
     needed = unknown
-    if others and isinstance(others[0], Rolling):
+    if others and isinstance(others[0], RollingModel):
         needed = demand(run, others[0], slipping, paths[1])
     return needed, first_lift(run, slipping, paths[0])
 

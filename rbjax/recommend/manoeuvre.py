@@ -19,7 +19,7 @@ from rbjax.stability.runs.largest_step import stable_step
 from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
 from rbjax.wheeled.models.forces import wheel_loads
 from rbjax.wheeled.models.robot_model import RobotModel, as_state, with_twist
-from rbjax.wheeled.models.rolling import Rolling
+from rbjax.wheeled.models.rolling import RollingModel
 from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.motion.rollout import Lists, advance
 
@@ -158,7 +158,7 @@ class Demand(NamedTuple):
     at: float  # the time of `share`, s
 
 
-def demand(run: Manoeuvre, rolling: Rolling, slipping: Slipping, path: State) -> Demand:
+def demand(run: Manoeuvre, rolling: RollingModel, slipping: Slipping, path: State) -> Demand:
     """Compute the largest required fraction of the traction on a path of a rolling robot. It is the
     maximum over the total force on all wheels, and over the force of each shaft."""
 

@@ -49,7 +49,7 @@ ROLLED_ABOVE = 6  # dofs above which the rolled driver compiles faster
 BRIEF = 1e4  # phase of the fastest mode, rad, up to which the rolled driver saves time
 
 
-class Trial(NamedTuple):
+class SolverTrial(NamedTuple):
     """A measured candidate."""
 
     name: str  # of the solver
@@ -300,11 +300,11 @@ def _recommended(
     return SolverRecommendation(best.name, best.evaluations / h, trials, why, best.solver, h, e)
 
 
-def _trial(name: str, found: tuple[float, float, Candidate] | None) -> Trial:
+def _trial(name: str, found: tuple[float, float, Candidate] | None) -> SolverTrial:
     if found is None:
-        return Trial(name, math.nan, math.inf, math.inf, False)
+        return SolverTrial(name, math.nan, math.inf, math.inf, False)
     h, error, candidate = found
-    return Trial(name, h, error, candidate.evaluations / h, True)
+    return SolverTrial(name, h, error, candidate.evaluations / h, True)
 
 
 def _fastest(A: np.ndarray) -> complex:

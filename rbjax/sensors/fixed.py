@@ -12,8 +12,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import shown
 from rbjax.errors import InputError, UnknownName
-from rbjax.forces.context import Context
-from rbjax.forces.context import Frame as FrameMotion
+from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Lane, pack
 from rbjax.model import Frame, Model
 from rbjax.model.leaves import frame_transform
@@ -82,7 +81,7 @@ class FrameSensor(FixedSensor):
     def check(self, model: Model) -> None:
         frame_transform(model, named_frame(model, self.frame), jnp.result_type(float))
 
-    def at(self, context: Context) -> FrameMotion:
+    def at(self, context: Context) -> FrameState:
         """Return the frame of the sensor at an instant."""
         return context.frame(named_frame(context.model, self.frame))
 

@@ -18,8 +18,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 
-from rbjax.forces.context import Context
-from rbjax.forces.context import Frame as FrameMotion
+from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Vec3
 from rbjax.model import Frame, Model
 from rbjax.model.leaves import numbers
@@ -43,7 +42,7 @@ class RelativeFrameSensor(FrameSensor):
         if self.reference is not None:
             FrameSensor(self.reference).check(model)
 
-    def base(self, context: Context) -> FrameMotion | None:
+    def base(self, context: Context) -> FrameState | None:
         """Return the frame of the reference at an instant, or None."""
         if self.reference is None:
             return None

@@ -27,7 +27,7 @@ from rbjax.solvers.rosenbrock import RosenbrockW
 from rbjax.solvers.runge_kutta import ImplicitRungeKutta
 
 
-class Wrapped(diffrax.AbstractWrappedSolver):
+class WrappedSolver(diffrax.AbstractWrappedSolver):
     """Base class of solvers that forward properties and methods to another solver."""
 
     solver: Any  # type: ignore[misc]
@@ -72,7 +72,7 @@ class Wrapped(diffrax.AbstractWrappedSolver):
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
-class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
+class Compensated(WrappedSolver, diffrax.AbstractAdaptiveSolver):
     """A solver that carries the rounding errors of its additions to the next step.
 
     Use it if rounding limits the accuracy: small steps, long chaotic motions, single precision.

@@ -22,7 +22,7 @@ IN_TIME = (diffrax.ODETerm, OnGroup)  # terms dy = f dt, with time as the contro
 IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 
 
-class Field(eqx.Module):
+class SolverField(eqx.Module):
     """The function (t, y) -> rate in the solver's time, which always runs forwards.
 
     Fields:
@@ -65,7 +65,7 @@ def _parts(terms: Any) -> list[Any]:
     return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
-def flatten(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
+def flatten(terms: Any, args: Any, t: Any, y: Any) -> tuple[SolverField, jax.Array]:
     """Return the field on vectors (n,), and y as a vector. Traced values in the closure of the
     user's function become arguments, which custom derivative rules require."""
     for part in _parts(terms):
@@ -76,18 +76,18 @@ def flatten(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
                 "rb.solvers.rkmk(4) and others for Lie groups take the term"
             )
     vector, unravel = ravel_pytree(y)
-    f = Field(terms, args, unravel)
+    f = SolverField(terms, args, unravel)
     numbers, rest = eqx.partition(f, eqx.is_array)
 
     def rate(t, y, numbers):
         return eqx.combine(numbers, rest)(t, y)
 
     opened, closed_over = jax.closure_convert(rate, t, vector, numbers)
-    return Field(opened, (numbers, *closed_over), unravel) if closed_over else f, vector
+    return SolverField(opened, (numbers, *closed_over), unravel) if closed_over else f, vector
 
 
 @eqx.filter_jit
-def _rate(f: Field, t: Any, y: Any) -> Any:
+def _rate(f: SolverField, t: Any, y: Any) -> Any:
     if not isinstance(f.terms, diffrax.AbstractTerm):
         return f.terms(t, y, *f.args)
     if f.unravel is None:
@@ -97,19 +97,19 @@ def _rate(f: Field, t: Any, y: Any) -> Any:
 
 
 @eqx.filter_jit
-def linearize(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def linearize(f: SolverField, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return f(t, y) (n,) and J (n, n) of a field on vectors."""
     rate, push = jax.linearize(lambda y: f(t, y), y)
     return rate, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
 
 
 @eqx.filter_custom_jvp
-def evaluate_stages(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
+def evaluate_stages(f: SolverField, t: jax.Array, y: jax.Array) -> jax.Array:
     """Evaluate a vector field f at all stages of a step: times t (s,) and states y (s, n)."""
     return batch_first(_batch(f, t, y))
 
 
-def _batch(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
+def _batch(f: SolverField, t: jax.Array, y: jax.Array) -> jax.Array:
     return jax.vmap(f)(t, y)
 
 

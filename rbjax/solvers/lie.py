@@ -30,7 +30,7 @@ import numpy as np
 from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.field import Field, time_direction
+from rbjax.solvers.field import SolverField, time_direction
 from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, group_of, unwrap
 from rbjax.solvers.steps import (
     AbstractGroupSolver,
@@ -57,7 +57,7 @@ class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.error_order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), Field(terms, args), t1 - t0
+        group, f, h = group_of(terms), SolverField(terms, args), t1 - t0
 
         def rate(t, u):
             return inverse_dexp(group, u, f(t, group.retract(y0, u)))
@@ -105,7 +105,7 @@ class CrouchGrossman3(AbstractGroupSolver):
         return 3
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), Field(terms, args), t1 - t0
+        group, f, h = group_of(terms), SolverField(terms, args), t1 - t0
         a21, a31, a32 = 3 / 4, 119 / 216, 17 / 108
         b = (13 / 51, -2 / 3, 24 / 17)
         k1 = scale(h, f(t0, y0))
@@ -122,7 +122,7 @@ class CommutatorFree4(AbstractGroupSolver):
         return 4
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        group, f, h = group_of(terms), Field(terms, args), t1 - t0
+        group, f, h = group_of(terms), SolverField(terms, args), t1 - t0
         k1 = scale(h, f(t0, y0))
         second = group.retract(y0, scale(1 / 2, k1))
         k2 = scale(h, f(t0 + h / 2, second))

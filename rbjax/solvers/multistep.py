@@ -28,7 +28,7 @@ from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.field import Field, flatten
+from rbjax.solvers.field import SolverField, flatten
 from rbjax.solvers.root_finding import MAX_STEPS, chord, mark_failed, step_result
 from rbjax.solvers.runge_kutta import ImplicitRungeKutta, Start, solve, start
 from rbjax.solvers.steps import (
@@ -63,7 +63,7 @@ def slopes_at_one(nodes: jax.Array) -> jax.Array:
     return (basis(nodes) * jnp.arange(nodes.shape[0], dtype=nodes.dtype)).sum(1)
 
 
-class History(NamedTuple):
+class StepHistory(NamedTuple):
     """Entries before the current state, latest first, and the number of filled entries."""
 
     ts: jax.Array  # (n,)
@@ -71,7 +71,7 @@ class History(NamedTuple):
     filled: jax.Array
 
 
-class Step(NamedTuple):
+class MultistepResult(NamedTuple):
     """Result of a step on vectors."""
 
     u: jax.Array  # (n,) y1 - y0
@@ -124,16 +124,16 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         """Number of past entries that the formula needs in the history."""
 
     @abc.abstractmethod
-    def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
+    def start(self, f: SolverField, t0: Any, y0: jax.Array) -> Start:
         """Evaluate rate and, if necessary, Jacobian at the current state, for `begin` and
         `formula`."""
 
     @abc.abstractmethod
-    def begin(self, f: Field, h: Any, here: Start) -> Step:
+    def begin(self, f: SolverField, h: Any, here: Start) -> MultistepResult:
         """Compute a step without history, by a one-step method."""
 
     @abc.abstractmethod
-    def formula(self, f: Field, h: Any, here: Start, history: History) -> Step:
+    def formula(self, f: SolverField, h: Any, here: Start, history: StepHistory) -> MultistepResult:
         """Compute a step with the multistep formula."""
 
     @abc.abstractmethod
@@ -145,14 +145,14 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         ts = t0 - (t1 - t0) * jnp.arange(1, self.past + 1, dtype=t0.dtype)
         vector, _ = ravel_pytree(y0)
         values = jnp.broadcast_to(vector, (self.past, vector.size))
-        return History(ts, values, jnp.array(0))
+        return StepHistory(ts, values, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, y = flatten(terms, args, t0, y0)
         h, here = t1 - t0, self.start(f, t0, y)
         ts, values, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)
-        out = self._padded(self.formula(f, h, here, History(ts, values, filled)))
+        out = self._padded(self.formula(f, h, here, StepHistory(ts, values, filled)))
         if self.past:
             starting = filled < self.past
             first = jax.lax.cond(
@@ -164,17 +164,17 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
             ts = jnp.concatenate([t0[None], ts[:-1]])
             values = jnp.concatenate([self.history_entry(here)[None], values[:-1]])
         dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(out.coefficients)}
-        state = History(ts, values, jnp.minimum(filled + 1, self.past))
+        state = StepHistory(ts, values, jnp.minimum(filled + 1, self.past))
         error = None if out.error is None else f.unravel(out.error)
         return f.unravel(y + out.u), error, dense, state, step_result(out.ok)
 
-    def _padded(self, step: Step) -> Step:
+    def _padded(self, step: MultistepResult) -> MultistepResult:
         """Pad the dense-output coefficients of a step with zeros to the degree of the method."""
         missing = self.degree - step.coefficients.shape[0]
         padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))
 
-    def _nodes(self, t0: Any, h: Any, history: History) -> jax.Array:
+    def _nodes(self, t0: Any, h: Any, history: StepHistory) -> jax.Array:
         """Return the past times in units of the step, with t0 at 0 and t1 at 1."""
         return (history.ts - t0) / jnp.where(h == 0, 1.0, h)
 
@@ -231,7 +231,7 @@ class Adams(AbstractMultistep):
 
         k = explicit_stages(rate, tables.RK4, here.t, h)(jnp.zeros_like(here.y))
         u, error = (h * combine(weights, k) for weights in (tables.RK4.b, tables.RK4.error[1:]))
-        return Step(u, error, hermite_coefficients(u, h * k[0], h * k[-1]), True)
+        return MultistepResult(u, error, hermite_coefficients(u, h * k[0], h * k[-1]), True)
 
     def formula(self, f, h, here, history):
         nodes = jnp.concatenate([jnp.zeros(1, here.t.dtype), self._nodes(here.t, h, history)])
@@ -245,9 +245,9 @@ class Adams(AbstractMultistep):
         u = coefficients.sum(0)
         if self.corrector == "none":
             if self.formula_order == 1:
-                return Step(u, None, coefficients, True)
+                return MultistepResult(u, None, coefficients, True)
             less = polynomial(nodes[:-1], rates[:-1]).sum(0)
-            return Step(u, u - less, coefficients, True)
+            return MultistepResult(u, u - less, coefficients, True)
 
         predicted, t1 = u, here.t + h
         nodes = jnp.concatenate([jnp.ones(1, here.t.dtype), nodes])
@@ -265,7 +265,7 @@ class Adams(AbstractMultistep):
             k = found[0]
         coefficients = weighted_sums(shares, jnp.concatenate([k[None], h * rates]))
         u = coefficients.sum(0)
-        return Step(u, mark_failed(jnp.asarray(ok), u - predicted), coefficients, ok)
+        return MultistepResult(u, mark_failed(jnp.asarray(ok), u - predicted), coefficients, ok)
 
 
 class BDF(AbstractMultistep):
@@ -316,7 +316,7 @@ class BDF(AbstractMultistep):
     def begin(self, f, h, here):
         u, k, ok = self._starter.solve(f, h, here)
         error = mark_failed(ok, self._starter.estimate(f, h, here, k))
-        return Step(u, error, self._starter.polynomial(k), ok)
+        return MultistepResult(u, error, self._starter.polynomial(k), ok)
 
     def formula(self, f, h, here, history):
         q = BackwardDifference.of(self._nodes(here.t, h, history), history.values - here.y)
@@ -325,7 +325,7 @@ class BDF(AbstractMultistep):
             (q.slope * q.predicted + q.known)[None], self.root_finder, self.root_find_max_steps,
         )  # fmt: skip
         u, error, coefficients = q.result(found[0])
-        return Step(u, mark_failed(ok, error), coefficients, ok)
+        return MultistepResult(u, mark_failed(ok, error), coefficients, ok)
 
 
 def adams_bashforth(order: int) -> Adams:

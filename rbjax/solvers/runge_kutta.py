@@ -27,7 +27,7 @@ import optimistix as optx
 from rbjax.arguments import integer
 from rbjax.lanes import batch_first, matvec
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.field import Field, evaluate_stages, flatten, linearize
+from rbjax.solvers.field import SolverField, evaluate_stages, flatten, linearize
 from rbjax.solvers.root_finding import (
     MAX_STEPS,
     chord,
@@ -76,13 +76,13 @@ class Start(NamedTuple):
     jacobian: jax.Array | None  # (n, n), held constant by derivatives of the step
 
 
-def start(f: Field, t: Any, y: jax.Array, finder: Any) -> Start:
+def start(f: SolverField, t: Any, y: jax.Array, finder: Any) -> Start:
     """Evaluate the rate and, unless the root finder is matrix-free, the Jacobian at (t, y)."""
     return Start(t, y, *((f(t, y), None) if matrix_free(finder) else _rate_and_jacobian(f, t, y)))
 
 
 @eqx.filter_custom_jvp
-def _rate_and_jacobian(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _rate_and_jacobian(f: SolverField, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     return batch_first(linearize(f, t, y))
 
 
@@ -95,10 +95,10 @@ def _(primals: Any, tangents: Any) -> Any:
     return (rate, jacobian), batch_first((moving, jnp.zeros_like(jacobian)))
 
 
-class Stages(eqx.Module):
+class StageResidual(eqx.Module):
     """Residual of implicit stage equations, as a function of the increments k (s, n)."""
 
-    f: Field
+    f: SolverField
     h: Any
     t: jax.Array  # (s,)
     y: jax.Array  # (n,) or (s, n)
@@ -123,17 +123,17 @@ class Chord(eqx.Module):
 
 
 def solve(
-    f: Field, h: Any, t: jax.Array, y: jax.Array, a: jax.Array, start: Start, guess: jax.Array,
-    finder: Any, max_steps: int,
+    f: SolverField, h: Any, t: jax.Array, y: jax.Array, a: jax.Array, start: Start,
+    guess: jax.Array, finder: Any, max_steps: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """Solve the stage equations. Return the increments (s, n) and whether the solution
     succeeded."""
-    residual = Stages(f, h, t, y, a, matrix_free(finder))
+    residual = StageResidual(f, h, t, y, a, matrix_free(finder))
     near = None if start.jacobian is None else Chord(h, a, start.jacobian)
     return root(residual, finder, guess, start.y, max_steps, near)
 
 
-def damped(f: Field, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) -> jax.Array:
+def damped(f: SolverField, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) -> jax.Array:
     """Return (1 - gamma h J)^-1 raw: an error estimate without its stiff components."""
     if start.jacobian is None:
         _, push = jax.linearize(lambda y: f(start.t, y), start.y)
@@ -183,7 +183,7 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(coefficients)}
         return f.unravel(y + u), error, dense, solver_state, step_result(ok)
 
-    def solve(self, f: Field, h: Any, here: Start) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def solve(self, f: SolverField, h: Any, here: Start) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return y1 - y0 (n,), the stages (s, n), and whether the solution succeeded."""
         a, c, b = (jnp.asarray(x, here.y.dtype) for x in
                    (self.tableau.a, self.tableau.c, self.tableau.b))  # fmt: skip
@@ -195,7 +195,7 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         )  # fmt: skip
         return weighted_sums(b, k), k, ok
 
-    def estimate(self, f: Field, h: Any, here: Start, k: jax.Array) -> jax.Array:
+    def estimate(self, f: SolverField, h: Any, here: Start, k: jax.Array) -> jax.Array:
         """Estimate the error (n,) of y1."""
         at_start, *others = self.tableau.error
         raw = weighted_sums(others, k) + at_start * h * here.rate

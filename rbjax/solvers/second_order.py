@@ -27,7 +27,7 @@ import optimistix as optx
 
 from rbjax.arguments import real_number
 from rbjax.lanes.arrays import select
-from rbjax.solvers.field import Field, time_direction
+from rbjax.solvers.field import SolverField, time_direction
 from rbjax.solvers.groups import group_of, unwrap
 from rbjax.solvers.root_finding import MAX_STEPS, chord, root, step_result
 from rbjax.solvers.steps import (
@@ -49,7 +49,7 @@ class Halves(eqx.Module):
     args: Any
 
     def rate(self, t: Any, y: Any) -> Any:
-        return Field(self.terms, self.args)(t, y)
+        return SolverField(self.terms, self.args)(t, y)
 
     def acceleration(self, t: Any, y: Any) -> Any:
         return split_pair(self.rate(t, y))[0][1]
@@ -170,7 +170,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
 
 def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
     """Return zeros with the shapes of the rate."""
-    rate = jax.eval_shape(Field(terms, args), t, y)
+    rate = jax.eval_shape(SolverField(terms, args), t, y)
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.solvers.field import Field
+from rbjax.solvers.field import SolverField
 from rbjax.solvers.groups import AbstractGroup, Vector, group_of
 from rbjax.solvers.tableau import Tableau
 
@@ -155,7 +155,7 @@ def dense_output(
 ) -> dict:
     """Return the cubic interpolation of a step, of order 4, from the rates at both ends. Rates that
     are None are computed."""
-    group, f = group_of(terms), Field(terms, args)
+    group, f = group_of(terms), SolverField(terms, args)
     if rate0 is None:
         both = jax.vmap(f)(jnp.stack([t0, t1]), stack([y0, y1]))
         rate0, rate1 = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))

@@ -19,7 +19,7 @@ from rbjax.validation import ours
 from rbjax.validation.mjx import Mjx
 from rbjax.validation.reference import (
     Array,
-    Samples,
+    StateSamples,
     final_gradient,
     quantities,
     random_samples,
@@ -184,7 +184,7 @@ def describe(source: Any) -> str:
     return "model" if text.lstrip().startswith("<") else Path(text).name
 
 
-def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Array, float]:
+def _final_states(m: mujoco.MjModel, samples: StateSamples, steps: int) -> tuple[Array, float]:
     """Compute MuJoCo's final states (N, nq + nv), and their amplification of a velocity change."""
     small = 1e-6
     out, growth = [], 1.0

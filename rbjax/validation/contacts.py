@@ -26,7 +26,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import cast_floats
 from rbjax.motion.step import step
 from rbjax.validation.ours import quick
-from rbjax.validation.reference import Array, Samples, loosen, random_samples
+from rbjax.validation.reference import Array, StateSamples, loosen, random_samples
 
 #: tolerances of all quantities; the f32 forces of a stiff contact follow from rounded positions
 TOLERANCES = {"rbjax f64": 1e-10, "rbjax f32": 2e-2}
@@ -60,7 +60,7 @@ def with_contacts(
         return m, load(m, contacts=True), off
 
 
-def states_of_motion(m: mujoco.MjModel, count: int, seed: int, seconds: float) -> Samples:
+def states_of_motion(m: mujoco.MjModel, count: int, seed: int, seconds: float) -> StateSamples:
     """Simulate by MuJoCo and return states at even times, all exact in f32."""
     data, drawn = mujoco.MjData(m), random_samples(m, 1, seed)
     if m.nkey:
@@ -73,11 +73,11 @@ def states_of_motion(m: mujoco.MjModel, count: int, seed: int, seconds: float) -
             mujoco.mj_step(m, data)
         found.append((data.qpos.copy(), data.qvel.copy(), drawn.ctrl[0]))
     rows = (np.stack(x) for x in zip(*found, strict=True))
-    return Samples(*(x.astype(np.float32).astype(np.float64) for x in rows))
+    return StateSamples(*(x.astype(np.float32).astype(np.float64) for x in rows))
 
 
 def reference_quantities(
-    m: mujoco.MjModel, pairs: tuple[tuple[int, int], ...], samples: Samples
+    m: mujoco.MjModel, pairs: tuple[tuple[int, int], ...], samples: StateSamples
 ) -> dict[str, Array]:
     """Compute the quantities of MuJoCo at each state."""
     data, rows, place = mujoco.MjData(m), [], {pair: k for k, pair in enumerate(pairs)}
@@ -99,7 +99,7 @@ def reference_quantities(
 
 
 def quantities(
-    model: Model, pairs: tuple[tuple[int, int], ...], samples: Samples, dtype: Any
+    model: Model, pairs: tuple[tuple[int, int], ...], samples: StateSamples, dtype: Any
 ) -> tuple[dict[str, Array], str]:
     """Compute the quantities of rbjax in a dtype, one row a state, and a report of the solver."""
 

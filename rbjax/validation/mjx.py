@@ -18,7 +18,7 @@ import numpy as np
 
 from rbjax.compiling import WITHOUT_EMITTERS, xla_accepts
 from rbjax.validation.ours import quick
-from rbjax.validation.reference import Array, Samples
+from rbjax.validation.reference import Array, StateSamples
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
     from mujoco import mjx  # prints at every import that warp is missing
@@ -79,19 +79,19 @@ class Mjx:
 
         return jax.vjp(step, q, v, ctrl)[1](cotangent)
 
-    def arrays(self, samples: Samples) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def arrays(self, samples: StateSamples) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Convert the samples to arrays in the current precision."""
         dtype = jnp.result_type(float)
         q, v, ctrl = (jnp.asarray(x, dtype) for x in (samples.q, samples.v, samples.ctrl))
         return q, v, ctrl
 
-    def quantities(self, samples: Samples) -> dict[str, Array]:
+    def quantities(self, samples: StateSamples) -> dict[str, Array]:
         """Compute the quantities of MJX at each state."""
         out = self.step(self.model, *self.arrays(samples))
         out["one step"] = jnp.concatenate(out.pop("state"), -1)
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
-    def motion(self, samples: Samples, steps: int, weights: Array | None) -> dict[str, Array]:
+    def motion(self, samples: StateSamples, steps: int, weights: Array | None) -> dict[str, Array]:
         """Compute final states (N, nq + nv) and gradients (N, nv + nu) of weights . final state."""
         q, v, ctrl = self.arrays(samples)
         path = []

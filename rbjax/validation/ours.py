@@ -19,10 +19,10 @@ from rbjax.forces import applied_forces
 from rbjax.model import Model, State
 from rbjax.model.record import cast_floats
 from rbjax.motion.rollout import rollout
-from rbjax.validation.reference import Array, Samples
+from rbjax.validation.reference import Array, StateSamples
 
 
-def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
+def quantities(model: Model, samples: StateSamples, dtype: Any) -> dict[str, Array]:
     """Compute poses, velocities, M, bias forces and accelerations in a dtype, one row per state.
     The model is a compile-time constant, so its zeros are structural."""
 
@@ -43,7 +43,7 @@ def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
 
 
 def motion(
-    model: Model, samples: Samples, dt: float, steps: int, weights: Array | None, dtype: Any
+    model: Model, samples: StateSamples, dt: float, steps: int, weights: Array | None, dtype: Any
 ) -> dict[str, Array]:
     """Compute one step, the final state (N, nq + nv) of a trajectory, and its gradient (N, nv +
     nu). The gradient, d(weights . final state) / d(v0, ctrl), is omitted if `weights` is None."""

@@ -74,18 +74,18 @@ def loosen(m: mujoco.MjModel, i: int) -> None:
 
 
 @dataclass(frozen=True)
-class Samples:
+class StateSamples:
     """States q (N, nq), v (N, nv) and constant controls ctrl (N, nu), all exact in f32."""
 
     q: Array
     v: Array
     ctrl: Array
 
-    def __getitem__(self, rows: slice) -> Samples:
-        return Samples(self.q[rows], self.v[rows], self.ctrl[rows])
+    def __getitem__(self, rows: slice) -> StateSamples:
+        return StateSamples(self.q[rows], self.v[rows], self.ctrl[rows])
 
 
-def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
+def random_samples(m: mujoco.MjModel, count: int, seed: int) -> StateSamples:
     """Draw random states: coordinates within 1 of the file's, uniform attitudes, normal velocities.
     Controls are in the inner fifth of their ranges."""
     rng = np.random.default_rng(seed)
@@ -102,10 +102,10 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
     middle, half = (low + high) / 2, (high - low) / 2
     ctrl = middle + 0.2 * half * rng.uniform(-1.0, 1.0, (count, m.nu))
     drawn = (q, rng.normal(size=(count, m.nv)), ctrl)
-    return Samples(*(x.astype(np.float32).astype(np.float64) for x in drawn))
+    return StateSamples(*(x.astype(np.float32).astype(np.float64) for x in drawn))
 
 
-def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
+def quantities(m: mujoco.MjModel, samples: StateSamples) -> dict[str, Array]:
     """Compute the quantities of MuJoCo at each state. They are poses, velocities, M, bias forces,
     acceleration and the next state."""
     data, rows = mujoco.MjData(m), []
@@ -150,7 +150,7 @@ def trajectory(
 
 
 def final_gradient(
-    m: mujoco.MjModel, samples: Samples, steps: int, weights: Array, *, step: float = 1e-4
+    m: mujoco.MjModel, samples: StateSamples, steps: int, weights: Array, *, step: float = 1e-4
 ) -> Array:
     """Compute d(weights . final state) / d(v0, ctrl) (N, nv + nu) by central differences. f' = (8
     (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h."""
@@ -169,7 +169,7 @@ def final_gradient(
     return out
 
 
-def forward_seconds(m: mujoco.MjModel, samples: Samples) -> float:
+def forward_seconds(m: mujoco.MjModel, samples: StateSamples) -> float:
     """Measure the median time of `mj_forward` over all samples, sequentially on one thread, s."""
     data, times = mujoco.MjData(m), []
     for _ in range(5):

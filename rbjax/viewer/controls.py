@@ -14,7 +14,7 @@ from rbjax.flexible.strain import StrainBeam
 from rbjax.model import Model
 from rbjax.plotting.flexible_links import flexible_links, station_poses
 from rbjax.rotations import quaternion
-from rbjax.viewer.scene import Scene
+from rbjax.viewer.scene import FilmScene
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 #: seconds at the end of a motion before it begins again
@@ -24,7 +24,7 @@ _REST = 0.7
 class MotionControls:
     """Play, time, speed, follow, contact forces, ghosts, spread."""
 
-    def __init__(self, server: Any, scene: Scene, fps: float):
+    def __init__(self, server: Any, scene: FilmScene, fps: float):
         self.server, self.scene, self.fps = server, scene, fps
         self.duration = (scene.frames - 1) / fps
         self.time, self.pressed = 0.0, 0
@@ -88,7 +88,7 @@ class MotionControls:
 class JointSliders:
     """A slider for each velocity coordinate of a robot, from its default state."""
 
-    def __init__(self, server: Any, scene: Scene, model: Model):
+    def __init__(self, server: Any, scene: FilmScene, model: Model):
         self.scene, self.model = scene, model
         self.start = model.default_state().q
         self.integrate = jax.jit(integrate)

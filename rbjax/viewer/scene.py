@@ -25,7 +25,7 @@ _GHOSTLY, _PALE = 0.3, 0.55
 _JUMP = 0.5
 
 
-class Scene:
+class FilmScene:
     """The robot and the ghosts of a film on a server.
 
     Args:
@@ -154,7 +154,7 @@ class _Tube:
     """The flexible links of one colour, of the first sample and some ghosts, as meshes in world
     axes whose vertices move."""
 
-    def __init__(self, scene: Scene, color: Any, merged: Surface, copies: int):
+    def __init__(self, scene: FilmScene, color: Any, merged: Surface, copies: int):
         self.merged, self.copies = merged, copies
         self.nodes = [
             scene._mesh(

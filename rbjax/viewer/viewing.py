@@ -19,7 +19,7 @@ from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.drawing import shapes_of
 from rbjax.plotting.film import Camera, Film, film, frames
 from rbjax.viewer.controls import JointSliders, MotionControls
-from rbjax.viewer.scene import Scene
+from rbjax.viewer.scene import FilmScene
 
 _FIELD = np.radians(45.0)
 
@@ -35,7 +35,7 @@ class Viewer:
     `wait()` blocks until an interrupt (Ctrl-C); `stop()` ends the server.
     """
 
-    def __init__(self, server: Any, scene: Scene, controls: Any, fps: float):
+    def __init__(self, server: Any, scene: FilmScene, controls: Any, fps: float):
         self.server, self.scene, self.controls, self.fps = server, scene, controls, fps
         self.url = f"http://{server.get_host()}:{server.get_port()}"
         self._stopped = threading.Event()
@@ -141,7 +141,7 @@ def view(
     if trajectory is not None:
         shown = with_arrows("view", shown, model, contacts, np.asarray(trajectory.ts, float))
     server = _server(title, host, port)
-    scene = Scene(server, shown)
+    scene = FilmScene(server, shown)
     _look(server, shown)
     controls: Any = (
         JointSliders(server, scene, model)

@@ -19,7 +19,7 @@ from jax import lax
 
 import rbjax as rb
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.llvm.batch import Parts, write_parts
+from rbjax.compiler.llvm.batch import BatchParts, write_parts
 from rbjax.compiler.llvm.xla_handler import write_handler
 from tests.compiler import random_programs
 from tests.compiler.host import Case, by_xla, size, written
@@ -65,7 +65,9 @@ def code_of(text: str, machine: Any) -> bytes:
     return llvm_jit.compile_object(text, llvm_jit.LEVELS.passes, machine)
 
 
-def emulated(made: Parts, arrays: list[np.ndarray], results: list[np.ndarray], at: Path) -> None:
+def emulated(
+    made: BatchParts, arrays: list[np.ndarray], results: list[np.ndarray], at: Path
+) -> None:
     """Fills the results."""
     (at / "part.o").write_bytes(code_of(made.text, machine()))
     every = [*arrays, *results]

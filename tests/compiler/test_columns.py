@@ -12,7 +12,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.compiler.cuda.kernels import kernel
-from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.program import BatchLayout
 from rbjax.compiler.jax.primitive import on_gpu
 from rbjax.compiler.lower.write import write_program
 from rbjax.dynamics.algorithms import columns
@@ -56,8 +56,8 @@ def agree(got: Any, name: str) -> None:
         assert relative_error(g, w, batch_dims=1, floor=1.0).max() <= F64_PARITY
 
 
-def layouts(atoms: list, axes: tuple) -> list[Layout]:
-    return [Layout(x.aval.shape, own) for x, own in zip(atoms, axes, strict=True)]
+def layouts(atoms: list, axes: tuple) -> list[BatchLayout]:
+    return [BatchLayout(x.aval.shape, own) for x, own in zip(atoms, axes, strict=True)]
 
 
 def by_kernels(f: Any, *args: Any) -> tuple[list[np.ndarray], list[str]]:

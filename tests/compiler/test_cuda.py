@@ -18,7 +18,7 @@ from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.cuda.kernels import Kernel, kernel
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.program import Layout, Written, batch_first
+from rbjax.compiler.ir.program import BatchLayout, Written, batch_first
 from rbjax.compiler.jax import launch, primitive
 from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.lower.write import write_program
@@ -239,7 +239,7 @@ def emitted(g, layouts, batch, summed=(), last=False) -> tuple[Kernel, list]:
     for a, s in zip(avals, summed, strict=True):
         places = tuple(range(a.ndim, a.ndim + n) if last else range(n))
         shape = (*a.shape, *batch) if last else (*batch, *a.shape)
-        outs.append(Layout(a.shape, ()) if s else Layout(shape, places))
+        outs.append(BatchLayout(a.shape, ()) if s else BatchLayout(shape, places))
     code = kernel(write_program(closed, batch, layouts, outs, summed))
     return code, [jax.ShapeDtypeStruct(lay.shape, a.dtype)
                   for lay, a in zip(outs, avals, strict=True)]  # fmt: skip
@@ -249,12 +249,12 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
     def g(x, y, z, w):
         return [x.sum() + z.sum() + y * w]
 
-    layouts = [Layout((200, n), (0,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
+    layouts = [BatchLayout((200, n), (0,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
     source = emitted(g, layouts, (200,))[0].source
     assert re.findall(r"load_rows<double,(\d+),(\d+)>", source) == [("20", "21")]
     assert source.count("__shared__ double s1[") == 1
     assert re.findall(r"store_rows<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
-    batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
+    batch_last = [BatchLayout((n, 200), (1,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
     assert not re.search(r"(fetch|leave|flush)<double", source)
 
@@ -270,13 +270,15 @@ def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
     if read:
         for array in both:
             b.load(array, None, 0)
-    layout = Layout((64, 3), (0,))
+    layout = BatchLayout((64, 3), (0,))
     program = Written(b, (), tuple(both), ((), (layout, layout)), (64,), (False, False))
     assert ("uint4 tile[" in kernel(program).source) == (not in_turn and not read)
 
 
 def test_sums_are_taken_in_the_block():
-    code, _ = emitted(lambda x: [x, (x * x).sum()], [Layout((200, 3), (0,))], (200,), (False, True))
+    code, _ = emitted(
+        lambda x: [x, (x * x).sum()], [BatchLayout((200, 3), (0,))], (200,), (False, True)
+    )
     assert code.grid == math.ceil(200 / code.block) and code.summed == (False, True)
     assert re.findall(r"over_warp<double>\(.*?y(\d)\[", code.source) == ["1"]
 
@@ -301,12 +303,12 @@ def test_a_kernel_s_threads_together(batch, last):
     n, levels = len(batch), range(len(batch))
     args = [RNG.normal(size=(*batch, *s)) for s in ((5,), (20,), (130,))]
     w = RNG.normal(size=20)
-    shared = Layout((20,), (None,) * n)
+    shared = BatchLayout((20,), (None,) * n)
     if last:
         args = [np.moveaxis(x, -1, 0) for x in args]
-        layouts = [Layout(x.shape, tuple(1 + k for k in levels)) for x in args]
+        layouts = [BatchLayout(x.shape, tuple(1 + k for k in levels)) for x in args]
     else:
-        layouts = [Layout(x.shape, tuple(levels)) for x in args]
+        layouts = [BatchLayout(x.shape, tuple(levels)) for x in args]
     summed = (False, False, False, True, False, True)
     code, shapes = emitted(program, [*layouts, shared], batch, summed, last)
     got = emulated(code, [*args, w], shapes)

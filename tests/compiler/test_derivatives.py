@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.extend.core import check_jaxpr, jaxpr_as_fun
 
-from rbjax.compiler.jax.derivatives import Linearised
+from rbjax.compiler.jax.derivatives import LinearisedJaxpr
 from rbjax.compiler.jax.programs import traced
 from rbjax.lanes import fusion_barrier, sincos
 
@@ -56,7 +56,7 @@ def of_floats(found):
 @pytest.mark.parametrize("moving", [(True, True), (True, False), (False, True)])
 def test_tangents_are_those_of_jax(name, moving):
     f = CASES[name]
-    linear = Linearised.of(traced(f, X, Y).closed, moving)
+    linear = LinearisedJaxpr.of(traced(f, X, Y).closed, moving)
     closed = linear.tangent([])
     check_jaxpr(closed.jaxpr)
     given = [x for x, m in zip((jnp.cos(X), jnp.sin(Y)), moving, strict=True) if m]
@@ -74,7 +74,7 @@ def test_cotangents_are_those_of_jax(name):
     f = CASES[name]
     program = traced(f, X, Y)
     weighed = tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in program.outputs)
-    back = Linearised.of(program.closed, (True, True)).transposed(weighed)
+    back = LinearisedJaxpr.of(program.closed, (True, True)).transposed(weighed)
     assert back is not None
     closed = back()
     check_jaxpr(closed.jaxpr)
@@ -86,7 +86,7 @@ def test_cotangents_are_those_of_jax(name):
 
 def test_a_loop_of_values_and_rates_is_left_to_jax():
     program = traced(looped, X, Y)
-    assert Linearised.of(program.closed, (True, True)).transposed((True,)) is None
+    assert LinearisedJaxpr.of(program.closed, (True, True)).transposed((True,)) is None
     back = program.transposed((True, False), (True,))
     found, pull = jax.vjp(lambda x: looped(x, Y), X)
     (got,), (want,) = back(X, Y, found[0]), pull(found)
@@ -101,13 +101,13 @@ def test_a_loop_whose_result_decides_is_left_to_jax():
         done = jnp.abs(jax.lax.stop_gradient(end[-1])).max() < 1.0
         return [jnp.where(done, end, jnp.nan)]
 
-    linear = Linearised.of(traced(f, X, Y).closed, (True, True))
+    linear = LinearisedJaxpr.of(traced(f, X, Y).closed, (True, True))
     assert linear.transposed([True]) is None
 
 
 def test_a_value_that_is_given_is_not_computed():
     program = traced(lambda x: [jnp.sin(jnp.exp(x))], X)
-    linear = Linearised.of(program.closed, (True,))
+    linear = LinearisedJaxpr.of(program.closed, (True,))
     made = next(e.outvars[0] for e in linear.eqns.eqns if e.primitive.name == "exp")
     closed = linear.transposed((True,))([made])
     assert "exp" not in {e.primitive.name for e in closed.jaxpr.eqns}

@@ -371,7 +371,7 @@ def test_explain_with_a_gpu(monkeypatch):
         monkeypatch.setattr(launch, name, lambda value=value: value)
     monkeypatch.setattr(explain, "ptx", lambda *_: "PTX")
     monkeypatch.setattr(explain.driver, "resources", lambda *_: driver.Resources(40, 16, 0))
-    monkeypatch.setattr(explain.driver, "limits", lambda *_: driver.Limits(1e12, 1e12))
+    monkeypatch.setattr(explain.driver, "limits", lambda *_: driver.PeakRates(1e12, 1e12))
     found = explain.explain(lambda x: jnp.tanh(x).sum(), jnp.ones(3), batch=64)
     assert found.registers == 40 and found.of_instructions > 0 and found.of_bandwidth > 0
     assert "40 registers, 16 bytes of local memory" in str(found)

@@ -13,7 +13,7 @@ import pytest
 import scipy.special
 from jax import lax
 
-from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.program import BatchLayout
 from rbjax.compiler.ir.statements import Loop, Reserve, walk
 from rbjax.compiler.llvm.batch import write_parts
 from rbjax.compiler.lower.write import write_program
@@ -65,7 +65,7 @@ def test_algorithms(on, names):
 # ------------------------------------------------------------------- layouts
 
 
-def placed(x: np.ndarray, n: int, axes: tuple) -> tuple[np.ndarray, Layout]:
+def placed(x: np.ndarray, n: int, axes: tuple) -> tuple[np.ndarray, BatchLayout]:
     """An array with the batch first (n axes), its axes moved to these places; None keeps the first
     sample of an axis."""
     for k, axis in enumerate(axes):
@@ -73,7 +73,7 @@ def placed(x: np.ndarray, n: int, axes: tuple) -> tuple[np.ndarray, Layout]:
     x = x.squeeze(tuple(k for k, axis in enumerate(axes) if axis is None))
     there = [axis for axis in axes if axis is not None]
     x = np.ascontiguousarray(np.moveaxis(x, range(len(there)), there))
-    return x, Layout(x.shape, axes)
+    return x, BatchLayout(x.shape, axes)
 
 
 def of_samples(f, batch, operands, axes, outs, lanes, summed=()):
@@ -88,7 +88,7 @@ def of_samples(f, batch, operands, axes, outs, lanes, summed=()):
         if not (summed and summed[k]):
             for axis, size in sorted(zip(outs[k], batch, strict=True)):
                 shape.insert(axis, size)
-        results.append(Layout(tuple(shape), () if summed and summed[k] else outs[k]))
+        results.append(BatchLayout(tuple(shape), () if summed and summed[k] else outs[k]))
     program = write_program(closed, batch, [lay for _, lay in given], results, summed)
     made = write_parts(program, lanes)
     found = [

@@ -28,11 +28,11 @@ class Numbers(rc.Constraint):
 
 
 MADE: dict[str, Callable] = {
-    "a is int, expected a Place": lambda: rc.Spherical(1, LOWER),
-    "KnifeEdge: b is int": lambda: rc.KnifeEdge(HERE, 1),
-    "RollingDisc: a is int": lambda: rc.RollingDisc(1, 2, 0.1),
-    "PointOnCurve: a is int": lambda: rc.PointOnCurve(1, 2, lambda s: s, [0.0]),
-    "PointOnSurface: a is int": lambda: rc.PointOnSurface(1, 2, lambda x: x),
+    "a is 1, expected a Place": lambda: rc.Spherical(1, LOWER),
+    "KnifeEdge: b is 1": lambda: rc.KnifeEdge(HERE, 1),
+    "RollingDisc: a is 1": lambda: rc.RollingDisc(1, 2, 0.1),
+    "PointOnCurve: a is 1": lambda: rc.PointOnCurve(1, 2, lambda s: s, [0.0]),
+    "PointOnSurface: a is 1": lambda: rc.PointOnSurface(1, 2, lambda x: x),
     "body is True": lambda: rc.Place.on(body=True),
     "expected a direction": lambda: rc.Place.on(axis=[0, 0, 0]),
     "point.0. is nan": lambda: rc.Place.on(point=[np.nan, 0, 0]),

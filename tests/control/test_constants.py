@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Problem, StateError
-from rbjax.control.optimal.solver import ROBOTS, ConstantRobots, Constants
+from rbjax.control.optimal.solver import ROBOTS, ConstantRobots, StaticPytree
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")
@@ -49,7 +49,7 @@ def test_derivatives_by_a_robot():
 
 
 def test_constants_are_compared_by_their_numbers():
-    make = lambda x: Constants(*jax.tree.flatten((jnp.asarray(x), "a name")))  # noqa: E731
+    make = lambda x: StaticPytree(*jax.tree.flatten((jnp.asarray(x), "a name")))  # noqa: E731
     one, same, other = make([0.0, 1.0]), make([0.0, 1.0]), make([0.0, 2.0])
     assert one == same and hash(one) == hash(same)
     assert one != other and one != make([0, 1]) and one != "constants"

@@ -7,7 +7,7 @@ import pytest
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem
 from rbjax.errors import InputError, UnknownName
-from rbjax.recommend.control_methods import Trial, _best, _reason
+from rbjax.recommend.control_methods import MethodTrial, _best, _reason
 
 SYSTEM = Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
 PROBLEM = Problem(SYSTEM, 3, 1.0, running=[Control()], terminal=[lambda t, x, u: x])
@@ -37,7 +37,7 @@ def test_where_nothing_converges_it_says_so():
 
 def test_the_fastest_of_those_with_the_least_cost_is_taken():
     def trial(name, status, cost, ms):
-        return Trial(name, status, cost, 7, ms, 1.0, ())
+        return MethodTrial(name, status, cost, 7, ms, 1.0, ())
 
     trials = [trial("a", "converged", 2.0, 1.0), trial("b", "converged", 1.0, 9.0),
               trial("c", "converged", 1.0 + 1e-9, 5.0), trial("d", "stuck", 0.5, 0.1)]  # fmt: skip

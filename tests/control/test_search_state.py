@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
-from rbjax.control.optimal.objective import Multipliers
+from rbjax.control.optimal.objective import ConstraintMultipliers
 from rbjax.control.optimal.shooting.search import (
     LEAST,
     LENGTHS,
@@ -124,7 +124,9 @@ def test_a_decrease_within_the_rounding_of_the_constraints_is_none(dtype):
 
     @jax.jit
     def status(share, reg):
-        multipliers = Multipliers(jnp.zeros((3, 2), dtype), number([240, 320]), number(10))
+        multipliers = ConstraintMultipliers(
+            jnp.zeros((3, 2), dtype), number([240, 320]), number(10)
+        )
         noise = cost_noise(multipliers)
         rule = StoppingRule(number(0), number(1e-6), number(100), number(1))
         now = initial_search_state(rule, True, number(10))._replace(

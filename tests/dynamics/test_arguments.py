@@ -24,7 +24,7 @@ Z = np.zeros(2)
         ((MODEL, Z, [0.0, np.inf], Z), r"v\[1\] is inf, expected finite values"),
         ((TWO, Z, Z, Z), r"the model's bodies.mass has shape \(2, 2\), expected 1 axis; .*vmap"),
         ((HEAVY, Z, Z, Z), r"the model's bodies.mass has shape \(3, 2\), expected 1 axis"),
-        (("cart_pole", Z, Z, Z), r"model is str, expected a Model \(rbjax.load\)"),
+        (("cart_pole", Z, Z, Z), r"model is .cart_pole., expected a Model \(rbjax.load\)"),
     ],
 )
 def test_what_is_wrong_is_said(arguments, words: str) -> None:

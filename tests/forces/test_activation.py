@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.forces.actuators.activation import Filter, Integrator
+from rbjax.forces.actuators.activation import ControlIntegral, Filter
 from tests.forces.actuated import actuation, errors, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, F64_ROUNDING
@@ -52,7 +52,7 @@ def test_a_filter_in_rk4(kind):
 
 
 def test_a_step_ends_within_the_range():
-    winding = Integrator(jnp.array([-0.1, 0.2]))
+    winding = ControlIntegral(jnp.array([-0.1, 0.2]))
     assert winding.advanced(9.0, jnp.array(0.0), 0.1) == 0.2
     assert winding.advanced(-9.0, jnp.array(0.0), 0.1) == -0.1
 
@@ -122,7 +122,7 @@ def test_an_angle_a_full_turn_from_its_range_is_left_as_mujoco_leaves_it(early):
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_a_range_holds_up_to_full_periods_of_an_angle(dtype):
-    winding, period = Integrator(jnp.array([-0.3, 0.4], dtype)), jnp.asarray(2 * np.pi, dtype)
+    winding, period = ControlIntegral(jnp.array([-0.3, 0.4], dtype)), jnp.asarray(2 * np.pi, dtype)
     kept = jnp.array([-0.3, 0.1, 0.4], dtype)
     for turns in (-2, -1, 0, 1, 2):
         a = kept + turns * period
@@ -131,4 +131,4 @@ def test_a_range_holds_up_to_full_periods_of_an_angle(dtype):
     want = np.array([0.4, 0.4, -0.3, 0.4], dtype)
     np.testing.assert_array_equal(winding.within(beyond, period), want)
     np.testing.assert_array_equal(winding.within(beyond), want)
-    assert Integrator(FREE).within(period, period) is period
+    assert ControlIntegral(FREE).within(period, period) is period

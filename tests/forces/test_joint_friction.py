@@ -139,7 +139,7 @@ def test_only_where_asked_for_and_enabled() -> None:
 
 
 def test_the_numbers_are_those_of_a_model() -> None:
-    with pytest.raises(rb.InputError, match=r"JointFriction.of: model is str, expect"):
+    with pytest.raises(rb.InputError, match=r"JointFriction.of: model is 'cart_pole', expect"):
         rb.forces.JointFriction.of("cart_pole", ["slider"], 1.0)  # type: ignore[arg-type]
 
 

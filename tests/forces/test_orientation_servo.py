@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces.acting import states
-from rbjax.forces.actuators.activation import Integrator
+from rbjax.forces.actuators.activation import ControlIntegral
 from rbjax.forces.actuators.orientation_servo import OrientationServo
 from rbjax.forces.context import Context
 from tests.forces.actuated import errors, limbs
@@ -61,7 +61,7 @@ def test_its_early_target_is_that_of_the_step_and_not_of_the_models_timestep(bat
         model = rb.load(text.format(timestep))
         servo = OrientationServo(
             jnp.array([5.0, 0.0, 1.0]), jnp.tile(jnp.array([-9.0, 9.0]), (3, 1)),
-            jnp.array(jnp.inf), Integrator(jnp.array([-jnp.inf, jnp.inf])), (0, 1, 2), joint=0,
+            jnp.array(jnp.inf), ControlIntegral(jnp.array([-jnp.inf, jnp.inf])), (0, 1, 2), joint=0,
             early=True,
         )  # fmt: skip
         with pytest.warns(UserWarning, match="OrientationServo reads the controls of"):

@@ -154,7 +154,7 @@ def test_bad_times_and_states_are_named():
         ({"model": rb.load("spinning_top"), "ctrl": lambda t, s: jnp.ones(3)}, "expected .0,.:"),
         ({"max_steps": 0}, "max_steps is 0, expected an integer of at least 1"),
         ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
-        ({"state": None}, "state is NoneType, expected rbjax.State"),
+        ({"state": None}, "state is None, expected rbjax.State"),
         ({"ts": None}, "at least 2 times"),
         ({"ts": ["0", "1"]}, "ts has dtype <U1, expected times in seconds"),
         ({"dt": 1e-17}, "float64 cannot add to a time of 1.0 s; expected more than"),

@@ -71,7 +71,7 @@ def raises(x: Any) -> bool:
 def arrays_in(x: Any) -> bool:
     """Whether an argument or the result of a function is annotated as an array or a state."""
     kinds = [str(v) for v in getattr(x, "__annotations__", {}).values()]
-    return any(re.search(r"Array|ndarray|State", k) for k in kinds)
+    return any(re.search(r"Array|ndarray|\bState", k) for k in kinds)
 
 
 def missing(x: Any) -> list[str]:

@@ -181,7 +181,7 @@ def test_bad_sensors_and_arguments():
         NamedSensor("x", Gyro("tip"), cutoff=-1)
     with pytest.raises(rb.InputError, match="named is 3"):
         rb.sense(small(), state, named=3)
-    with pytest.raises(rb.InputError, match="state is ndarray"):
+    with pytest.raises(rb.InputError, match="state is array"):
         rb.sense(small(), np.zeros(2))
     with pytest.raises(rb.InputError, match="joint1' is a hinge joint, expected ball"):
         rb.sensors.BallQuaternion("joint1").columns(rb.load("two_link"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import radau_iia
-from rbjax.solvers.constrained.differential_algebraic import Equations, Point, solve
+from rbjax.solvers.constrained.differential_algebraic import AlgebraicEquations, StepStart, solve
 from rbjax.solvers.constrained.schur_complement import Factored, Matrix
 from rbjax.solvers.constrained.simplified import weights
 
@@ -14,7 +14,7 @@ TABLEAU = radau_iia(3).tableau
 FORCE = 7.0
 
 
-def cross(index: int, redundant: bool) -> Equations:
+def cross(index: int, redundant: bool) -> AlgebraicEquations:
     """A unit mass that moves along x or along y, x y = 0, under a force across that grows with x:
     its row vanishes where both do."""
     again = 2 if redundant else 1
@@ -26,7 +26,7 @@ def cross(index: int, redundant: bool) -> Equations:
         off = [dx - vx, dy - vy, ax - l * y, ay - (FORCE + l) * x]
         return jnp.stack([*off, *[row] * again])
 
-    return Equations(f, (index - 1,) * again, jnp.ones(again), 2)
+    return AlgebraicEquations(f, (index - 1,) * again, jnp.ones(again), 2)
 
 
 @pytest.mark.parametrize("index, redundant", [(2, False), (3, False), (3, True)])
@@ -39,7 +39,7 @@ def test_a_step_through_the_middle_of_a_cross(index: int, redundant: bool) -> No
     @jax.jit
     def after(x):
         y = jnp.stack([x, 0.0 * x, 1.0 + 0.0 * x, 0.0 * x])
-        start = Point(0.0, y, jnp.array([1.0, 0, 0, 0]), jnp.zeros(m))
+        start = StepStart(0.0, y, jnp.array([1.0, 0, 0, 0]), jnp.zeros(m))
         base = jnp.broadcast_to(y, (3, 4))
         found = solve(equations, h, h * jnp.array(TABLEAU.c), base, of_stages, start)
         return found.ok, y + h * jnp.array(TABLEAU.b) @ found.rates, found.w

@@ -11,7 +11,7 @@ import pytest
 import rbjax as rb
 from benchmarks.cases import cube
 from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
-from rbjax.sysid.simulation.setup import Grid, Path, read_sensor
+from rbjax.sysid.simulation.setup import Grid, SimulatedPath, read_sensor
 
 needs_data = pytest.mark.skipif(
     not cube.DATA.exists(), reason=f"the tosses of the cube are not there: {cube.DATA}"
@@ -59,7 +59,9 @@ def test_a_touch_sensor_is_read_in_a_simulation() -> None:
     assert want[0] > 1
 
     def read(v: jax.Array) -> jax.Array:
-        path = Path(jnp.tile(state.q, (2, 1)), jnp.tile(v, (2, 1)), None, jnp.zeros((1, 0)))
+        path = SimulatedPath(
+            jnp.tile(state.q, (2, 1)), jnp.tile(v, (2, 1)), None, jnp.zeros((1, 0))
+        )
         return read_sensor(setup, path, Grid(1e-9), "other:pad", jnp.zeros(1))[0]
 
     np.testing.assert_allclose(read(state.v), want, rtol=1e-9)

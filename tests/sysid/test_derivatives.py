@@ -21,7 +21,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
-from rbjax.sysid.estimators.likelihood import Levels, Likelihood, make_series
+from rbjax.sysid.estimators.likelihood import Likelihood, NoiseLevels, make_series
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
@@ -312,7 +312,7 @@ def predicted() -> Case:
 def levels() -> Case:
     """Numbers and all three noise levels; the loss is -2 log p, whose triangle is Fisher's."""
     series = make_series(SETUP, [recording("q", "v")], GRID)
-    said = Levels(np.array([0.5]), np.array([0.02, 0.1]))
+    said = NoiseLevels(np.array([0.5]), np.array([0.02, 0.1]))
     of = Likelihood(
         SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.ones(2, bool)
     )
@@ -380,7 +380,7 @@ def test_losses_are_differentiated_compiled_and_batched(name):
 def test_likelihood_by_both_modes_compiled_and_batched():
     """Its gradient is JAX's in reverse mode, too, of many runs at once."""
     series = make_series(SETUP, [recording("q")], GRID)
-    said = Levels(np.array([0.5]), np.array([0.02]))
+    said = NoiseLevels(np.array([0.5]), np.array([0.02]))
     of = Likelihood(
         SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.zeros(1, bool)
     )

@@ -13,12 +13,12 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, squares
 from rbjax.sysid.estimators import identification, identified, staged_fit
-from rbjax.sysid.estimators.identified import Options
+from rbjax.sysid.estimators.identified import FitOptions
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation import objective
 from rbjax.sysid.simulation.jacobian_colouring import compile_time_constants
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.setup import Path
+from rbjax.sysid.simulation.setup import SimulatedPath
 from rbjax.sysid.simulation.simulation_error import HUBER, make_programs
 from rbjax.sysid.simulation.traces import Trace, make_traces
 from rbjax.sysid.torque import select, selection
@@ -86,7 +86,7 @@ def test_constants_are_computed_while_a_program_is_traced():
 def fit(loss: str, seen: dict, unseen: dict) -> types.SimpleNamespace:
     """The fields of a fit that its validation reads."""
     return types.SimpleNamespace(
-        judged_sensor="q", rms={"q": np.ones(1)}, traces=seen, options=Options(loss=loss),
+        judged_sensor="q", rms={"q": np.ones(1)}, traces=seen, options=FitOptions(loss=loss),
         setup=Setup.of(MODEL), simulated=lambda recordings, estimate_initial_state: unseen,
     )  # fmt: skip
 
@@ -120,7 +120,7 @@ def test_the_stages_of_a_fit_follow_each_other(monkeypatch, prepared):
 
     monkeypatch.setattr(identification, "StagedFit", Stages)
     monkeypatch.setattr(identification, "_result", lambda stages, best, dtype: best)
-    options = Options(segments=0.1, multiple_shooting=0.2) if prepared else Options()
+    options = FitOptions(segments=0.1, multiple_shooting=0.2) if prepared else FitOptions()
     found = identification.fit_in_stages(None, None, [], options)
     due = ["fit_all", "retry_if_poor", "reweigh", "refine_steps"]
     if prepared:
@@ -136,7 +136,7 @@ def test_the_steps_are_checked_unless_a_grid_is_given(monkeypatch, grid):
 
     monkeypatch.setattr(staged_fit.StagedFit, "error", stop)
     unknowns = Unknowns.of("test", MASS, Setup.of(MODEL))
-    stages = staged_fit.StagedFit(Setup.of(MODEL), unknowns, [SWING], Options(grid=grid))
+    stages = staged_fit.StagedFit(Setup.of(MODEL), unknowns, [SWING], FitOptions(grid=grid))
     if grid is not None:
         assert stages.shorten_steps() is None and stages.refine_steps("fit") == "fit"
         return
@@ -149,7 +149,7 @@ def test_large_residuals_count_by_the_loss(loss):
     setup = Setup.of(MODEL)
     one = make_programs(setup, Unknowns({}, (), ()), Grid(0.1), 0, loss)
     y = np.array([0.0, 5.0])[:, None]  # the first residual is 0.5 sigma, the second -4.5
-    path = Path(jnp.full((2, 1), 0.5), jnp.zeros((2, 1)), None, jnp.zeros((1, 1)))
+    path = SimulatedPath(jnp.full((2, 1), 0.5), jnp.zeros((2, 1)), None, jnp.zeros((1, 1)))
     times, weights = {"q": jnp.array([0.0, 0.1])}, {"q": jnp.ones((2, 1))}
     run = Run(None, None, times, {"q": jnp.asarray(y)}, weights)
     found = jax.jit(lambda path: one.compare(setup, path, run))(path)

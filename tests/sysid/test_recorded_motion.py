@@ -14,7 +14,7 @@ from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.parameters.unknowns import Inertia, Unknown, put
 from rbjax.sysid.simulation.runs import _first_readings, make_batch
-from rbjax.sysid.simulation.setup import Grid, Path, Setup, interpolate_state
+from rbjax.sysid.simulation.setup import Grid, Setup, SimulatedPath, interpolate_state
 from rbjax.sysid.simulation.simulation_error import HUBER, SimulationError
 from rbjax.sysid.simulation.traces import FEW, Trace
 
@@ -27,7 +27,7 @@ def test_states_between_samples_are_those_of_hermites_cubic():
     knots, q, v = 0.1 * np.arange(4), *RNG.normal(size=(2, 4, 2))
     cubic = CubicHermiteSpline(knots, q, v)
     t = np.array([0.0, 0.03, 0.17, 0.29])
-    path = Path(jnp.asarray(q), jnp.asarray(v), None, jnp.zeros((3, 0)))
+    path = SimulatedPath(jnp.asarray(q), jnp.asarray(v), None, jnp.zeros((3, 0)))
     found = jax.jit(jax.vmap(lambda t: interpolate_state(model, path, 0.1, t)))(t)
     np.testing.assert_allclose(found.q, cubic(t), rtol=0, atol=1e-13)
     np.testing.assert_allclose(found.v, cubic(t, 1), rtol=0, atol=1e-12)

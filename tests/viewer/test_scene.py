@@ -13,7 +13,7 @@ import rbjax as rb
 from rbjax.plotting.contact_arrows import with_arrows
 from rbjax.plotting.film import film, frames
 from rbjax.viewer.controls import JointSliders, MotionControls, ranges
-from rbjax.viewer.scene import Scene
+from rbjax.viewer.scene import FilmScene
 from tests.plotting.test_contact_arrows import BALL, forces
 from tests.viewer.false_server import FalseServer
 
@@ -37,11 +37,11 @@ def arms() -> tuple[rb.Model, rb.Trajectory]:
     )
 
 
-def scene_of(arms, samples: int = 3) -> tuple[FalseServer, Scene]:
+def scene_of(arms, samples: int = 3) -> tuple[FalseServer, FilmScene]:
     model, run = arms
     ts, q = frames(model, run, 10.0, 1.0, samples)
     server = FalseServer()
-    return server, Scene(server, film(model, ts, q, rb.plotting.solids(ARM)))
+    return server, FilmScene(server, film(model, ts, q, rb.plotting.solids(ARM)))
 
 
 def test_bodies_are_where_kinematics_has_them(arms) -> None:
@@ -91,7 +91,9 @@ def test_a_reset_is_not_a_motion() -> None:
     ball = rb.load(BALL)
     q = jnp.tile(ball.default_state().q, (3, 1)).at[:, 0].set(jnp.array([0.0, 0.01, 9.0]))
     server = FalseServer()
-    scene = Scene(server, film(ball, np.arange(3.0), np.asarray(q)[None], rb.plotting.solids(BALL)))
+    scene = FilmScene(
+        server, film(ball, np.arange(3.0), np.asarray(q)[None], rb.plotting.solids(BALL))
+    )
     scene.size = 1.0
     seen = []
     for at in (0.5, 1.5, 2.0):
@@ -109,7 +111,7 @@ def test_arrows_of_contacts() -> None:
     )  # fmt: skip
     shown = with_arrows("view", shown, model, contacts, np.arange(3.0))
     server = FalseServer()
-    scene, node = Scene(server, shown), server.nodes["/forces"]
+    scene, node = FilmScene(server, shown), server.nodes["/forces"]
     assert node.visible and node.points.shape == (2, 2, 3)
     scene.show(1.0)
     assert not node.visible
@@ -150,7 +152,7 @@ def test_controls_of_a_motion(arms) -> None:
 def test_sliders_of_joints(arms) -> None:
     model, _ = arms
     server, shapes = FalseServer(), rb.plotting.solids(ARM)
-    scene = Scene(server, film(model, np.zeros(1), np.zeros((1, 1, 2)), shapes))
+    scene = FilmScene(server, film(model, np.zeros(1), np.zeros((1, 1, 2)), shapes))
     controls = JointSliders(server, scene, model)
     assert [s.label for s in controls.sliders] == ["shoulder", "elbow"]
     assert (controls.sliders[0].min, controls.sliders[0].max) == (-1.0, 2.0)
@@ -187,12 +189,12 @@ def test_a_beam_moves_its_tube() -> None:
     for ghosts, drawn in ((32, 32), (33, 0)):  # all or none
         q = np.zeros((1 + ghosts, 1, model.nq))
         crowd = film(model, np.zeros(1), q, rb.plotting.skeleton(model))
-        assert len(Scene(FalseServer(), crowd).tubes[0].nodes) == 1 + drawn
+        assert len(FilmScene(FalseServer(), crowd).tubes[0].nodes) == 1 + drawn
     q = np.zeros((2, 3, model.nq))
     q[0, 2, 0] = 0.5
     shown = film(model, np.arange(3.0), q, rb.plotting.skeleton(model))
     server = FalseServer()
-    scene = Scene(server, shown)
+    scene = FilmScene(server, shown)
     (tube,) = scene.tubes
     assert len(tube.nodes) == 2  # the robot and a ghost
     scene.show(2.0)

@@ -11,7 +11,7 @@ import numpy as np
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.operations import OPERATIONS
-from rbjax.compiler.ir.program import Layout, Written
+from rbjax.compiler.ir.program import BatchLayout, Written
 
 PREAMBLE = "".join(x.helper for x in OPERATIONS.values()) + "\n"
 
@@ -199,7 +199,7 @@ def sample_index(batch: tuple[int, ...]) -> list[str]:
     return list(reversed(out))
 
 
-def offset(layout: Layout, index: list[str]) -> str:
+def offset(layout: BatchLayout, index: list[str]) -> str:
     """Return the C text of the offset of a sample, in entries."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"

@@ -38,7 +38,7 @@ class Resources:
 
 
 @dataclass(frozen=True)
-class Limits:
+class PeakRates:
     """The peak rates of a device: instructions per second, and bytes per second."""
 
     instructions: float
@@ -93,7 +93,7 @@ def resources(ptx: str, name: str, ordinal: int = 0) -> Resources:
     return Resources(*found)
 
 
-def limits(capability: str, ordinal: int = 0) -> Limits:
+def limits(capability: str, ordinal: int = 0) -> PeakRates:
     """Return the peak rates of a GPU, from its clock rates."""
     cuda = _driver()
 
@@ -106,7 +106,7 @@ def limits(capability: str, ordinal: int = 0) -> Limits:
     with _context(cuda, ordinal) as device:
         instructions = attribute(MULTIPROCESSORS) * lanes(capability) * 1e3 * attribute(CLOCK_KHZ)
         # two transfers per clock cycle
-        return Limits(instructions, 2e3 * attribute(MEMORY_KHZ) * attribute(BUS_BITS) / 8)
+        return PeakRates(instructions, 2e3 * attribute(MEMORY_KHZ) * attribute(BUS_BITS) / 8)
 
 
 def _driver() -> ctypes.CDLL:

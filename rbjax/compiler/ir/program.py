@@ -20,7 +20,7 @@ def row_major(shape: Sequence[int]) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class Layout:
+class BatchLayout:
     """The layout of the samples of a batch in an array.
 
     shape: shape of the array in memory.
@@ -61,15 +61,15 @@ class Layout:
         return n if alike and self.strides == row_major(self.sample) else None
 
 
-def batch_first(sample: Sequence[int], batch: Sequence[int]) -> Layout:
+def batch_first(sample: Sequence[int], batch: Sequence[int]) -> BatchLayout:
     """Return the layout of an array whose batch axes come before its own axes."""
-    return Layout((*batch, *sample), tuple(range(len(batch))))
+    return BatchLayout((*batch, *sample), tuple(range(len(batch))))
 
 
-def batch_last(sample: Sequence[int], batch: Sequence[int]) -> Layout:
+def batch_last(sample: Sequence[int], batch: Sequence[int]) -> BatchLayout:
     """Return the layout of an array whose batch axes come after its own axes."""
     n = len(sample)
-    return Layout((*sample, *batch), tuple(range(n, n + len(batch))))
+    return BatchLayout((*sample, *batch), tuple(range(n, n + len(batch))))
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Written:
     builder: Builder
     operands: tuple[Array, ...]
     results: tuple[Array, ...]
-    layouts: tuple[tuple[Layout, ...], tuple[Layout, ...]]
+    layouts: tuple[tuple[BatchLayout, ...], tuple[BatchLayout, ...]]
     batch: tuple[int, ...]
     summed: tuple[bool, ...]
 

@@ -241,7 +241,7 @@ class JaxprBuilder:
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedJaxpr:
     """The linearisation of a jaxpr: (args, tangents) -> results and their tangents (None: zero)."""
 
     eqns: JaxprBuilder
@@ -252,7 +252,7 @@ class Linearised:
 
     @classmethod
     @gc_paused()
-    def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
+    def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> LinearisedJaxpr:
         """Linearise a jaxpr. moving: for each argument, whether it has a tangent."""
         eqns, jaxpr = JaxprBuilder(), closed.jaxpr
         args = [Var(v.aval) for v in jaxpr.invars]

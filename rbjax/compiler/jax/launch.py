@@ -153,7 +153,9 @@ _lock = threading.Lock()  # XLA rejects a second handler of the same name
 
 
 def register_host_kernel(
-    program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS, samples: int | None = None
+    program: Written,
+    levels: llvm_jit.OptimizationLevels = llvm_jit.LEVELS,
+    samples: int | None = None,
 ) -> HostKernel:
     """Compile a program and register its handler. samples: number of samples per part of the batch.
 

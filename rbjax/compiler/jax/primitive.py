@@ -29,7 +29,7 @@ from rbjax._jax_compat import (
 )
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda import team
-from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.program import BatchLayout
 from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.jax import launch
 from rbjax.compiler.jax.garbage import gc_paused
@@ -186,9 +186,9 @@ def on_cpu(*operands, **params):
 @functools.lru_cache(maxsize=256)
 @gc_paused()
 def _kernel(platform, program, batch, ins, outs, shapes, summed):
-    operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
+    operands = [BatchLayout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [
-        Layout(a.shape, ()) if s else Layout(batched_shape(a.shape, batch, axes), axes)
+        BatchLayout(a.shape, ()) if s else BatchLayout(batched_shape(a.shape, batch, axes), axes)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
     args = program.closed, batch, operands, results, summed, platform

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from rbjax.compiler.jax.derivatives import Linearised, Transposed
+from rbjax.compiler.jax.derivatives import LinearisedJaxpr, Transposed
 from rbjax.compiler.jax.garbage import gc_paused
 
 Moving = tuple[bool, ...]
@@ -101,9 +101,9 @@ class Program:
             return None
         return self.linearised(moving).transposed(has_cotangent)
 
-    def linearised(self, moving: Moving) -> Linearised:
+    def linearised(self, moving: Moving) -> LinearisedJaxpr:
         """Return the linearisation by the moving arguments."""
-        return self.memoize(("linear", moving), lambda: Linearised.of(self.closed, moving))
+        return self.memoize(("linear", moving), lambda: LinearisedJaxpr.of(self.closed, moving))
 
     def _tangent(self, moving: Moving) -> Program:
         residuals = self.residuals(moving)

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 
-from rbjax.compiler.ir.program import Layout, Written, row_major
+from rbjax.compiler.ir.program import BatchLayout, Written, row_major
 from rbjax.compiler.ir.statements import Array, Load, Op, Store, walk
 from rbjax.compiler.llvm.jit import register_bytes
 from rbjax.compiler.llvm.operations import ALIGNMENT
@@ -34,7 +34,7 @@ PARTS_UP_TO = 1024
 
 
 @dataclass(frozen=True)
-class Parts:
+class BatchParts:
     """The LLVM IR of the function `part`.
 
     libm: the C functions that it calls.
@@ -46,7 +46,9 @@ class Parts:
     count: int
 
 
-def write_parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
+def write_parts(
+    program: Written, lanes: int | None = None, samples: int | None = None
+) -> BatchParts:
     """Print the function that computes one part of the program's batch.
 
     Args:
@@ -112,7 +114,7 @@ class _Frame:
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 
-    def write_parts(self, share: int | None = None) -> Parts:
+    def write_parts(self, share: int | None = None) -> BatchParts:
         each, count = _shares(self.program, self.size, self.lanes)
         if share is not None:
             each, count = share, self.size // share
@@ -139,7 +141,7 @@ class _Frame:
         ]  # fmt: skip
         part = ["define i32 @part(ptr %buffers, i64 %index) nounwind {", *lines, "}"]
         text = "\n".join([*dict.fromkeys(declared), samples.text, *part])
-        return Parts(text, samples.libm, count)
+        return BatchParts(text, samples.libm, count)
 
     def begin(self, each: int, count: int) -> list[str]:
         """Emit the range of samples of the function `part`, and the allocation of its workspace.
@@ -204,7 +206,7 @@ def _lanes(program: Written) -> int:
     return lanes if lanes * program.array_bytes <= ARRAY_BYTES else 1
 
 
-def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None:
+def _lane_step(layout: BatchLayout, batch: tuple[int, ...], lanes: int) -> int | None:
     """Return the distance between the samples of a vector, in entries; None if it varies."""
     if not layout.axes:  # shared by all samples, or a sum
         return 0

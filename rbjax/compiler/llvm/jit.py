@@ -24,7 +24,7 @@ class Module:
     symbols: tuple[str, ...]
 
 
-class Levels(NamedTuple):
+class OptimizationLevels(NamedTuple):
     """Levels of LLVM's optimization.
 
     passes: names of passes on the IR, or one of LLVM's own levels.
@@ -39,12 +39,12 @@ class Levels(NamedTuple):
 
 #: Stack variables become registers, and instructions are combined. Higher levels take longer and do
 #: not give faster code; without passes, loops are slower.
-LEVELS = Levels(("sroa", "instruction_combine"), 1)
+LEVELS = OptimizationLevels(("sroa", "instruction_combine"), 1)
 #: for short compile times; the code is slower
-QUICK_LEVELS = Levels((), 0)
+QUICK_LEVELS = OptimizationLevels((), 0)
 #: for matrix products within one sample: from level 2 on, neighboring operations become vector
 #: operations. Gather instructions are disabled, because they are slow on AMD processors
-MATRIX_LEVELS = Levels(2, 1, "+prefer-no-gather")
+MATRIX_LEVELS = OptimizationLevels(2, 1, "+prefer-no-gather")
 
 
 class NoCompiler(RuntimeError):
@@ -100,7 +100,7 @@ def register_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
-def _machine(levels: Levels) -> Any:
+def _machine(levels: OptimizationLevels) -> Any:
     """Make a target machine. An engine that receives it destroys it."""
     triple, cpu, features = _processor()
     if levels.features and triple.startswith("x86_64"):
@@ -117,7 +117,7 @@ KEPT = 128
 _lock = threading.Lock()
 
 
-def compile_module(module: Module, levels: Levels = LEVELS) -> Code:
+def compile_module(module: Module, levels: OptimizationLevels = LEVELS) -> Code:
     """Compile a module's function `run`, or return the cached code of an equal module.
 
     Raises:
@@ -133,7 +133,7 @@ def compile_module(module: Module, levels: Levels = LEVELS) -> Code:
     return code
 
 
-def _loaded(module: Module, levels: Levels, key: str) -> Code:
+def _loaded(module: Module, levels: OptimizationLevels, key: str) -> Code:
     llvm = _llvm()
     try:
         code = read_or_make(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
-from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.program import BatchLayout
 from rbjax.compiler.llvm.operations import splat
 
 
@@ -22,7 +22,9 @@ class Lines(list):
         self.append(f"{name} = {text}")
         return name
 
-    def sample(self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str) -> str:
+    def sample(
+        self, base: str, t: str, layout: BatchLayout, batch: tuple[int, ...], sample: str
+    ) -> str:
         """Emit the pointer to a sample of an array. sample: linear index in the batch."""
         rest, place = sample, base
         for k in reversed(range(len(batch))):
@@ -36,7 +38,7 @@ class Lines(list):
         return place
 
     def each(
-        self, base: str, t: str, layout: Layout, batch: tuple[int, ...], lanes: int,
+        self, base: str, t: str, layout: BatchLayout, batch: tuple[int, ...], lanes: int,
         step: int | None,
     ) -> list[str]:  # fmt: skip
         """Emit the pointers to `lanes` samples, the first of which has the number %b."""

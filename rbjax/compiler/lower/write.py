@@ -10,7 +10,7 @@ from jax.extend.core import ClosedJaxpr
 from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.program import Layout, Written
+from rbjax.compiler.ir.program import BatchLayout, Written
 from rbjax.compiler.ir.statements import I32, I64, Array, Unsupported
 from rbjax.compiler.lower import (  # noqa: F401 (rules)
     control,
@@ -34,8 +34,8 @@ from rbjax.compiler.passes.phases import insert_barriers
 def write_program(
     closed: ClosedJaxpr,
     batch: tuple[int, ...],
-    operands: Sequence[Layout],
-    results: Sequence[Layout],
+    operands: Sequence[BatchLayout],
+    results: Sequence[BatchLayout],
     summed: Sequence[bool] = (),
     platform: str = "cuda",
     team: bool = False,
@@ -72,7 +72,7 @@ def write_program(
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
 
 
-def _array(b: Builder, dtype: DTypeLike, layout: Layout, space: str) -> Array:
+def _array(b: Builder, dtype: DTypeLike, layout: BatchLayout, space: str) -> Array:
     if dtype not in DTYPES:
         raise Unsupported(f"{space} of type {dtype}")
     reach = sum((n - 1) * s for n, s in zip(layout.sample, layout.strides, strict=True)) + 1

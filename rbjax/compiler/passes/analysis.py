@@ -41,7 +41,7 @@ def _iterations(s: ir.Statement, turns: int = 1) -> int:
 
 
 @dataclass
-class Divergence:
+class LaneDivergence:
     """The ids of variables and arrays that differ between lanes.
 
     home: for each id, the divergent region in which the variable or array is declared.
@@ -59,9 +59,9 @@ class Divergence:
         return self.home.get(x.id, 0) != part
 
 
-def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergence:
+def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> LaneDivergence:
     """Find the values that differ between lanes if the content of these arrays does."""
-    found = Divergence({a.id for a in different})
+    found = LaneDivergence({a.id for a in different})
     size = -1
     while size != len(found.different):  # a later iteration may change an earlier statement
         size = len(found.different)
@@ -69,7 +69,7 @@ def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> Divergenc
     return found
 
 
-def _visit(block: ir.Block, part: int, found: Divergence) -> None:
+def _visit(block: ir.Block, part: int, found: LaneDivergence) -> None:
     different = found.different
     for s in block.statements:
         differs = False
@@ -92,6 +92,6 @@ def _visit(block: ir.Block, part: int, found: Divergence) -> None:
             _visit(inner, among, found)
 
 
-def region_of(block: ir.Block, condition: ir.Value, part: int, found: Divergence) -> int:
+def region_of(block: ir.Block, condition: ir.Value, part: int, found: LaneDivergence) -> int:
     """Return the divergent region of a block that runs under a condition in region `part`."""
     return id(block) if found.of(condition) else part

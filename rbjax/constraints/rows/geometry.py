@@ -25,12 +25,11 @@ from rbjax.constraints.rows.row import Row
 from rbjax.dynamics.algorithms.frames import frame_pose, locate
 from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
-from rbjax.forces import Frame, Loads
+from rbjax.forces import FrameState, Loads
 from rbjax.forces.context import Context
 from rbjax.forces.place import Place, turn_z_to
 from rbjax.lanes import Vec3, add, mul, sub
-from rbjax.model import WORLD, Model
-from rbjax.model import Frame as FixedFrame
+from rbjax.model import WORLD, Frame, Model
 from rbjax.rotations import quaternion
 
 X, Y, Z = (Vec3(*(float(i == k) for i in range(3))) for k in range(3))
@@ -74,7 +73,7 @@ def coordinate(context: Context, joint: str | int, k: int = 0) -> Row:
     return Row(j.q[k], j.v[k], Loads({i: 1.0}), 0.0 if context.a is None else context.a[i])
 
 
-def _relative(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
+def _relative(A: FrameState, B: FrameState) -> tuple[Vec3, Vec3, Vec3]:
     """Return the vector from the origin of A to the origin of B and its first two time derivatives.
     They are in world axes."""
     return (
@@ -90,12 +89,12 @@ def opposed(action: Loads, reaction: Loads) -> Loads:
     return replace(action + reaction, internal=both)
 
 
-def displacement(A: Frame, B: Frame) -> list[Row]:
+def displacement(A: FrameState, B: FrameState) -> list[Row]:
     """Return the three rows of p_B - p_A, the vector from A's to B's origin, in world axes.
 
     Args:
-        A: a `Frame` of a context, as `context.body(name)`.
-        B: a `Frame` of the same context.
+        A: a `FrameState` of a context, as `context.body(name)`.
+        B: a `FrameState` of the same context.
 
     Returns:
         Three `Row`s, m.
@@ -109,13 +108,13 @@ def displacement(A: Frame, B: Frame) -> list[Row]:
     ]
 
 
-def along(A: Frame, u: Vec3, B: Frame) -> Row:
+def along(A: FrameState, u: Vec3, B: FrameState) -> Row:
     """Return the row u . (p_B - p_A), with u in A's axes and the origins p of both frames.
 
     Args:
-        A: a `Frame` of a context, as `context.body(name)`.
+        A: a `FrameState` of a context, as `context.body(name)`.
         u: a `Vec3` in A's axes.
-        B: a `Frame` of the same context.
+        B: a `FrameState` of the same context.
 
     Returns:
         A `Row`, m if u has no unit.
@@ -141,13 +140,13 @@ def along(A: Frame, u: Vec3, B: Frame) -> Row:
     )
 
 
-def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
+def cosine(A: FrameState, u: Vec3, B: FrameState, w: Vec3) -> Row:
     """Return the row u . w, with u in A's axes and w in B's axes.
 
     Args:
-        A: a `Frame` of a context, as `context.body(name)`.
+        A: a `FrameState` of a context, as `context.body(name)`.
         u: a `Vec3` in A's axes.
-        B: a `Frame` of the same context.
+        B: a `FrameState` of the same context.
         w: a `Vec3` in B's axes.
 
     Returns:
@@ -168,14 +167,14 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
     )
 
 
-def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
+def distance(A: FrameState, B: FrameState, least: float = 0.0) -> Row:
     """Return the row sqrt(d^2 + least^2), with the distance d of the origins of both frames.
 
     It is smooth at d = 0 if `least` is not zero. Otherwise its gradient at d = 0 is set to zero.
 
     Args:
-        A: a `Frame` of a context, as `context.body(name)`.
-        B: a `Frame` of the same context.
+        A: a `FrameState` of a context, as `context.body(name)`.
+        B: a `FrameState` of the same context.
         least: least value, m.
 
     Returns:
@@ -195,14 +194,14 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
     return Row(length, radial, opposed(B.push(n), A.push(-n)), acceleration)
 
 
-def turn(A: Frame, B: Frame) -> list[Row]:
+def turn(A: FrameState, B: FrameState) -> list[Row]:
     """Return the three rows sin(x) n of the rotation from A to B, with angle x and axis n.
 
     They are half the skew part of the rotation matrix, and zero if the frames are aligned.
 
     Args:
-        A: a `Frame` of a context, as `context.body(name)`.
-        B: a `Frame` of the same context.
+        A: a `FrameState` of a context, as `context.body(name)`.
+        B: a `FrameState` of the same context.
 
     Returns:
         Three `Row`s, no unit.
@@ -216,7 +215,7 @@ def turn(A: Frame, B: Frame) -> list[Row]:
 
 
 #: the name or index of a body, an `rb.Frame`, or None for the world
-End = str | int | FixedFrame | None
+End = str | int | Frame | None
 
 
 def places(
@@ -260,7 +259,7 @@ def places(
 
     def of(end: End) -> Place:
         body: str | int | None
-        if isinstance(end, FixedFrame):
+        if isinstance(end, Frame):
             found, _ = locate("between", model, q, end)
             body = None if found == WORLD else found
         else:
@@ -277,4 +276,4 @@ def places(
 def origin(model: Model, end: End, q: jax.Array | None = None) -> jax.Array:
     """Return the origin (3,) of an `rb.Frame` in the world, or the world's for another end."""
     q = model.default_state().q if q is None else q
-    return frame_pose(model, q, end)[1] if isinstance(end, FixedFrame) else jnp.zeros(3, q.dtype)
+    return frame_pose(model, q, end)[1] if isinstance(end, Frame) else jnp.zeros(3, q.dtype)

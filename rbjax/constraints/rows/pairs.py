@@ -38,14 +38,13 @@ from rbjax.constraints.rows.geometry import (
 from rbjax.constraints.rows.row import Constraint, Row, angle
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.place import Place, as_place, check_places
-from rbjax.model import Frame as FixedFrame
-from rbjax.model import Model
+from rbjax.model import Frame, Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
 
-Primitive = Callable[[Frame, Frame], list[Row]]
+Primitive = Callable[[FrameState, FrameState], list[Row]]
 #: below this value of 1 + trace of a rotation matrix (near half a turn), it is mostly rounding
 NEAR = 1e-5
 
@@ -107,7 +106,7 @@ class Pair(Constraint):
     def rows(self, context: Context) -> Sequence[Row]:
         return self.between_frames(self.a.frame(context), self.b.frame(context), context)
 
-    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+    def between_frames(self, A: FrameState, B: FrameState, context: Context) -> Sequence[Row]:
         """Build the rows of the joint between two frames."""
         return [row for primitive in self.primitives for row in primitive(A, B)]
 
@@ -137,28 +136,28 @@ class HalfAngle(Constraint):
         return [row * scale if r in turns else row for r, row in enumerate(rows)]
 
 
-def trace(A: Frame, B: Frame) -> Row:
+def trace(A: FrameState, B: FrameState) -> Row:
     """Return the row of the trace of the relative rotation: 1 + 2 cos(x) for the angle x."""
     x, y, z = (cosine(A, e, B, e) for e in AXES)
     return x + y + z
 
 
-def parallel(A: Frame, B: Frame) -> list[Row]:
+def parallel(A: FrameState, B: FrameState) -> list[Row]:
     """Return two rows that are zero if the z axes of two frames are parallel."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
 
 
-def orthogonal(A: Frame, B: Frame) -> list[Row]:
+def orthogonal(A: FrameState, B: FrameState) -> list[Row]:
     """Return the row that is zero if the z axis of B is orthogonal to the x axis of A."""
     return [cosine(A, X, B, Z)]
 
 
-def on_axis(A: Frame, B: Frame) -> list[Row]:
+def on_axis(A: FrameState, B: FrameState) -> list[Row]:
     """Return two rows that are zero if the origin of B is on the z axis of A."""
     return [along(A, X, B), along(A, Y, B)]
 
 
-def in_plane(A: Frame, B: Frame) -> list[Row]:
+def in_plane(A: FrameState, B: FrameState) -> list[Row]:
     """Return the row that is zero if the origin of B is in the x-y plane of A."""
     return [along(A, Z, B)]
 
@@ -211,7 +210,7 @@ class Screw(Pair):
                 "without a pitch the joint is a Revolute"
             )
 
-    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+    def between_frames(self, A: FrameState, B: FrameState, context: Context) -> Sequence[Row]:
         lead = scalar(self.pitch, context.q.dtype) / (2 * math.pi)
         angle_ = along(A, Z, B) * (1.0 / lead)
         sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
@@ -318,7 +317,7 @@ class Distance(Pair):
             InputError: `other` is missing or equal to `point`.
         """
         point = origin(model, a, q) if point is None else point
-        if other is None and isinstance(b, FixedFrame):
+        if other is None and isinstance(b, Frame):
             other = origin(model, b, q)
         if other is None:
             raise InputError(
@@ -339,7 +338,7 @@ class Distance(Pair):
     def __check_init__(self) -> None:
         check_number(self, "length", positive=True)
 
-    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+    def between_frames(self, A: FrameState, B: FrameState, context: Context) -> Sequence[Row]:
         return [distance(A, B) - scalar(self.length, context.q.dtype)]
 
 
@@ -361,7 +360,7 @@ class QuaternionWeld(Pair):
         super().__check_init__()
         check_number(self, "scale")
 
-    def between_frames(self, A: Frame, B: Frame, context: Context) -> Sequence[Row]:
+    def between_frames(self, A: FrameState, B: FrameState, context: Context) -> Sequence[Row]:
         scale = scalar(self.scale, context.q.dtype)
         # sin(x) n / (2 cos(x / 2)), with 1 + trace = 4 cos(x / 2)^2
         half = trace(A, B).apply(lambda c: 1 / jnp.sqrt(1 + c))

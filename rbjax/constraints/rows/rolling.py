@@ -30,7 +30,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.rows.geometry import X, Y, Z, along, cosine, opposed
 from rbjax.constraints.rows.row import Constraint, Row
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.place import Place, as_place, check_places
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
@@ -39,13 +39,13 @@ from rbjax.model.record import check_number, floats
 Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
 
 
-def swept(F: Frame, u: Vec3) -> Moving:
+def swept(F: FrameState, u: Vec3) -> Moving:
     """Return a direction that is fixed in a frame, and its rate, in world axes."""
     u = F.rotation @ u
     return u, F.angular_velocity.cross(u)
 
 
-def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[Row]:
+def slip(A: FrameState, B: FrameState, arm: Moving, directions: Sequence[Moving]) -> list[Row]:
     """Build the rows u . s, with u the slip velocity of B on A at the contact point. `arm` is the
     vector from B's origin to the contact point. `directions` are the vectors s."""
     (r, dr), a, b = arm, A.angular_velocity, B.angular_velocity
@@ -67,7 +67,7 @@ def slip(A: Frame, B: Frame, arm: Moving, directions: Sequence[Moving]) -> list[
     ]
 
 
-class Rolling(Constraint):
+class RollingWheel(Constraint):
     """Base class of wheels that roll on a plane: one height row and two slip rows.
 
     Fields:
@@ -90,17 +90,17 @@ class Rolling(Constraint):
         height, arm = self.contact(A, B, scalar(self.radius, context.q.dtype))
         return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
-    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+    def contact(self, A: FrameState, B: FrameState, radius: Lane) -> tuple[Row, Moving]:
         """Return the row of the contact point's height, and the point relative to the centre."""
         raise NotImplementedError(f"{type(self).__name__} has no method contact")
 
 
-class RollingSphere(Rolling):
+class RollingSphere(RollingWheel):
     """A sphere that rolls on a plane without slip: three rows.
 
     It also models a round wheel whose axle stays parallel to the plane.
 
-    Fields: a, b, radius, as in `Rolling`; the axes of b have no effect.
+    Fields: a, b, radius, as in `RollingWheel`; the axes of b have no effect.
 
     Example:
         >>> import rbjax as rb
@@ -110,15 +110,15 @@ class RollingSphere(Rolling):
         3
     """
 
-    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+    def contact(self, A: FrameState, B: FrameState, radius: Lane) -> tuple[Row, Moving]:
         n, dn = swept(A, Z)
         return along(A, Z, B) + (-radius), (n * (-radius), dn * (-radius))
 
 
-class RollingDisc(Rolling):
+class RollingDisc(RollingWheel):
     """A thin disc that rolls on a plane without slip and may lean, but not lie flat: three rows.
 
-    Fields: a, b, radius, as in `Rolling`.
+    Fields: a, b, radius, as in `RollingWheel`.
 
     Example:
         >>> import rbjax as rb
@@ -128,7 +128,7 @@ class RollingDisc(Rolling):
         3
     """
 
-    def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
+    def contact(self, A: FrameState, B: FrameState, radius: Lane) -> tuple[Row, Moving]:
         lean = cosine(A, Z, B, Z)
         sine = lean.apply(lambda c: jnp.sqrt(1 - c * c))
         (n, dn), (e, de), c = swept(A, Z), swept(B, Z), lean.value

@@ -44,7 +44,7 @@ class Followed(NamedTuple):
     a: jax.Array
 
 
-class Pose(NamedTuple):
+class PoseReference(NamedTuple):
     """A frame's reference at a time, in world axes, angular first.
 
     R: attitude, (3, 3).
@@ -111,7 +111,7 @@ def check_poses(where: str, reference: Any, rows: tuple[str, ...]) -> Any:
     )
 
 
-def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
+def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> PoseReference:
     """Evaluate the pose, twist and acceleration of a reference at time t.
 
     rows: the parts of the pose that it defines. The other part is the identity or zero.
@@ -133,7 +133,7 @@ def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
 
     R, p = at(t)
     if not callable(reference):
-        return Pose(R, p, jnp.zeros(6, dtype), jnp.zeros(6, dtype))
+        return PoseReference(R, p, jnp.zeros(6, dtype), jnp.zeros(6, dtype))
 
     def twist(t: jax.Array) -> jax.Array:
         (R, _), (R_rate, p_rate) = jax.jvp(at, (t,), (jnp.ones_like(t),))
@@ -142,7 +142,7 @@ def pose(reference: Any, t: Any, rows: tuple[str, ...], dtype: Any) -> Pose:
         return jnp.concatenate([w, p_rate])
 
     V, A = jax.jvp(twist, (t,), (jnp.ones_like(t),))
-    return Pose(R, p, V, A)
+    return PoseReference(R, p, V, A)
 
 
 def _rate(f: Callable, t: jax.Array) -> jax.Array:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from rbjax.control.laws.controller import (
     Controller,
-    Pose,
+    PoseReference,
     actuator_forces,
     balancing_forces,
     check_compensate,
@@ -53,7 +53,7 @@ KINDS = {
 NEAR, DAMPED = 1e-3, 1e-2
 
 
-class Task(Record):
+class FrameTask(Record):
     """A frame and the controlled part of its pose. All fields are static."""
 
     site: str | None = eqx.field(static=True)
@@ -81,7 +81,7 @@ class Task(Record):
         return {"body": self.body, "site": self.site}
 
 
-class Motion(NamedTuple):
+class TaskMotion(NamedTuple):
     """A task at a state.
 
     e: error, (m,).
@@ -95,10 +95,10 @@ class Motion(NamedTuple):
     V: jax.Array
     J: jax.Array
     bias: jax.Array
-    desired: Pose
+    desired: PoseReference
 
 
-def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
+def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> FrameTask:
     """Build the task of a frame; raise InputError unless a joint moves the frame."""
     if kind not in KINDS:
         raise InputError(f"{where}: task is {kind!r}, expected one of {', '.join(KINDS)}")
@@ -110,10 +110,10 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> Task:
     carrier = body_of(model, Goal(site=site, body=body, position=[0.0, 0.0, 0.0]))
     if carrier < 0 or model.topology.body_links[carrier] < 0:
         raise InputError(f"{where}: no joint moves {site or body!r}, expected one that moves")
-    return Task(site, body, kind)
+    return FrameTask(site, body, kind)
 
 
-def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Motion:
+def motion(model: Model, task: FrameTask, reference: Any, t: Any, state: State) -> TaskMotion:
     """Compute pose error, twist, Jacobian and bias acceleration of a task, and its reference."""
     q, v = state.q, state.v
     desired = pose(reference, t, task.parts, q.dtype)
@@ -122,17 +122,17 @@ def motion(model: Model, task: Task, reference: Any, t: Any, state: State) -> Mo
     e = jnp.concatenate([so3.log(turn), desired.p - p])[task.rows]
     J = jacobian(model, q, **task.frame)[task.rows]
     bias = frame_bias_acceleration(model, q, v, **task.frame)[task.rows]
-    return Motion(e, matvec(J, v), J, bias, desired)
+    return TaskMotion(e, matvec(J, v), J, bias, desired)
 
 
-class Inertia(NamedTuple):
+class TaskInertia(NamedTuple):
     """The dynamics of a task: M^-1 J^T (nv, m), and the task inertia Lambda (m, m)."""
 
     to_joints: jax.Array
     task: jax.Array
 
 
-def task_inertia(model: Model, state: State, J: jax.Array) -> Inertia:
+def task_inertia(model: Model, state: State, J: jax.Array) -> TaskInertia:
     """Compute the inertia of a task with Jacobian J, damped near singular configurations."""
     M, m = mass_matrix(model, state.q), J.shape[0]
     factors = ldlt([list(row) for row in M])
@@ -143,7 +143,7 @@ def task_inertia(model: Model, state: State, J: jax.Array) -> Inertia:
     tiny = 8 * jnp.finfo(A.dtype).eps * mean
     s = 1 / jnp.trace(_inverse(A + tiny * one)) / mean
     d = DAMPED * mean * jnp.square(jnp.maximum(1 - s / NEAR, 0.0))
-    return Inertia(to_joints, _inverse(A + d * one))
+    return TaskInertia(to_joints, _inverse(A + d * one))
 
 
 def _inverse(A: jax.Array) -> jax.Array:
@@ -164,7 +164,7 @@ class FrameController(Controller):
     posture_stiffness, posture_damping: gains of the null-space motion, (nv,).
     """
 
-    task: Task
+    task: FrameTask
     reference: Any
     stiffness: jax.Array
     damping: jax.Array
@@ -199,7 +199,7 @@ class OperationalSpace(FrameController):
         """Return the desired acceleration V'_c (m,) of the frame, with feedback."""
         return self._command(motion(self.model, self.task, self.reference, t, state))
 
-    def _command(self, frame: Motion) -> jax.Array:
+    def _command(self, frame: TaskMotion) -> jax.Array:
         rows = self.task.rows
         back = self.damping * (frame.desired.V[rows] - frame.V) + self.stiffness * frame.e
         return frame.desired.A[rows] + back

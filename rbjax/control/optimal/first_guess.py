@@ -21,7 +21,7 @@ from rbjax.arguments import instance
 from rbjax.compiler import threads
 from rbjax.control.optimal.objective import (
     PENALTY,
-    Multipliers,
+    ConstraintMultipliers,
     merit,
     over_knots,
     roll_out,
@@ -41,7 +41,7 @@ class Guess(NamedTuple):
     ctrl: Any = None  # (N, nu)
     parameters: Any = None  # (p,)
     K: Any = None  # (N, nu, n), the gains of a solution
-    multipliers: Multipliers | None = None  # the multipliers of a solution
+    multipliers: ConstraintMultipliers | None = None  # the multipliers of a solution
 
 
 def guess_of(problem: Problem, guess: Any, states: Any, ctrl: Any, parameters: Any) -> Guess:
@@ -58,7 +58,7 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrl: Any, parameters: A
     path, end = guess.multipliers
     multipliers = None
     if sum(sizes) and (path.shape, end.shape) == ((problem.horizon, sizes[0]), (sizes[1],)):
-        multipliers = Multipliers(path, end, guess.penalty)
+        multipliers = ConstraintMultipliers(path, end, guess.penalty)
     return Guess(guess.states, guess.ctrl, guess.parameters, guess.K, multipliers)
 
 

@@ -97,7 +97,7 @@ PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 FALLS = 0.25  # the penalty rises if the violation does not fall to this fraction
 
 
-class Multipliers(NamedTuple):
+class ConstraintMultipliers(NamedTuple):
     """Multipliers of the constraints: path (N, c), end (e,); and the penalty mu ()."""
 
     path: jax.Array
@@ -105,13 +105,17 @@ class Multipliers(NamedTuple):
     penalty: jax.Array
 
 
-def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> Multipliers:
+def no_multipliers(
+    N: int, path: int, end: int, dtype: jax.typing.DTypeLike
+) -> ConstraintMultipliers:
     """Return zero multipliers of `path` and `end` rows, and the first penalty."""
     zero = jnp.zeros((N, path), dtype), jnp.zeros(end, dtype)
-    return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
+    return ConstraintMultipliers(*zero, jnp.asarray(PENALTY, dtype))
 
 
-def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+def shift_multipliers(
+    multipliers: ConstraintMultipliers | None, at: jax.Array
+) -> ConstraintMultipliers | None:
     """Shift the multipliers to a later motion. at (N,): its knot indices in the earlier one."""
     if multipliers is None:
         return None

@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.arguments import flag, instance
 from rbjax.control.optimal.problem_table import problem_display
-from rbjax.control.optimal.system import Linearised, System, system_of
+from rbjax.control.optimal.system import LinearisedStep, System, system_of
 from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
@@ -260,7 +260,7 @@ class Problem(Record):
         system, dt = self.at(knot.parameters)
         return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.parameters)
 
-    def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
+    def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> LinearisedStep:
         """Return the knot after a step, and its derivatives A and B by knot and controls."""
         system, dt = self.at(knot.parameters)
         after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
@@ -276,7 +276,7 @@ class Problem(Record):
             below = jnp.eye(p, self.n, self.system.n, dtype=A.dtype)
             A = jnp.concatenate([jnp.concatenate([A, by], 1), below])
             B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
-        return Linearised(after, A, B)
+        return LinearisedStep(after, A, B)
 
     def term(self, term: Term, k: Any, knot: Knot, ctrl: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the value of a term at a knot, and the step size."""

@@ -25,10 +25,10 @@ import jax.numpy as jnp
 from rbjax.arguments import flag, integer, real_number
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.objective import Multipliers, knot_violation, shift_multipliers
+from rbjax.control.optimal.objective import ConstraintMultipliers, knot_violation, shift_multipliers
 from rbjax.control.optimal.problem import NEXT, Knot, Problem, append, take
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.solution import Options, StoppingRule
+from rbjax.control.optimal.solution import SolveOptions, StoppingRule
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
@@ -67,7 +67,7 @@ class Memory(NamedTuple):
     knots: Knot  # (N + 1, ...)
     ctrl: jax.Array  # (N, nu)
     K: jax.Array  # (N, nu, n)
-    multipliers: Multipliers | None  # from the last plan; None without constraints
+    multipliers: ConstraintMultipliers | None  # from the last plan; None without constraints
     pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
     failures: jax.Array  # (), the plans that failed in a row
     search_status: jax.Array  # (), of the last search
@@ -77,7 +77,7 @@ class Memory(NamedTuple):
 
 
 @displayed
-class Run(NamedTuple):
+class ClosedLoop(NamedTuple):
     """The record of a closed loop of T ticks."""
 
     ts: jax.Array  # (T + 1,) s
@@ -168,7 +168,7 @@ class PredictiveController:
         memory = self._shifted(problem, memory)
         return u, memory._replace(pending=pending), now.status
 
-    def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
+    def closed_loop(self, state: Any, steps: int, plant: Any = None) -> ClosedLoop:
         """Simulate the closed loop, as one program.
 
         Args:
@@ -201,7 +201,7 @@ class PredictiveController:
         (_, last), (xs, us, statuses, search_statuses, costs) = run
         states = append(xs, last)
         ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
-        return Run(ts, states, us, statuses, search_statuses, costs)
+        return ClosedLoop(ts, states, us, statuses, search_statuses, costs)
 
     def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
         """Return a policy (t, state) -> ctrl for `rb.rollout`, without memory between its calls.
@@ -224,24 +224,24 @@ class PredictiveController:
 
     def _search(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
-        multipliers: Multipliers | None, iterations: int,
+        multipliers: ConstraintMultipliers | None, iterations: int,
     ) -> Any:  # fmt: skip
         number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
         rule = StoppingRule(
             number(self.tolerance), number(self.violation), jnp.asarray(iterations), number(1.0)
         )
-        options = Options(rule, multipliers=multipliers)
+        options = SolveOptions(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _gap(self, found: Any) -> jax.Array | None:
         """Return the largest gap between the knots of a plan; None without constraints."""
         return found.gap if self.problem.constraints else None
 
-    def _multipliers(self, found: Any) -> Multipliers | None:
+    def _multipliers(self, found: Any) -> ConstraintMultipliers | None:
         """Return the multipliers for the start of the next search; None without constraints."""
         if not self.problem.constraints or found.penalty is None:
             return None
-        return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
+        return ConstraintMultipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """Return the memory with a new plan, or with the last plan if the new one fails."""

@@ -34,7 +34,7 @@ class StoppingRule(NamedTuple):
     scale: jax.Array | None = None  # None: min(|cost of the first guess|, 1)
 
 
-class Options(Record):
+class SolveOptions(Record):
     """Options of every method. `report` is called after each iteration."""
 
     rule: StoppingRule  # when the search ends

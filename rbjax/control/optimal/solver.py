@@ -28,9 +28,9 @@ from rbjax.control.optimal.registry import METHODS, method_of, name_of
 from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.shooting.search import gap_tolerance
 from rbjax.control.optimal.solution import (
-    Options,
     SearchResult,
     Solution,
+    SolveOptions,
     StoppingRule,
     solution_of,
 )
@@ -46,7 +46,7 @@ ROBOTS = 2
 REMEMBERED = 64
 
 
-class Constants:
+class StaticPytree:
     """A pytree that is hashed and compared by value, for use as a static argument."""
 
     def __init__(self, leaves: list, tree: Any):
@@ -68,7 +68,7 @@ class Constants:
         if self is other:
             return True
         return (
-            isinstance(other, Constants) and self._hash == other._hash
+            isinstance(other, StaticPytree) and self._hash == other._hash
             and self.tree == other.tree and self._key == other._key
         )  # fmt: skip
 
@@ -78,10 +78,10 @@ class ConstantRobots:
     robot's arrays, because reading arrays from a GPU takes longer than a call."""
 
     def __init__(self) -> None:
-        self._seen: dict[tuple, Constants] = {}
-        self._forms: dict[Hashable, list[Constants]] = {}
+        self._seen: dict[tuple, StaticPytree] = {}
+        self._forms: dict[Hashable, list[StaticPytree]] = {}
 
-    def constants(self, robot: Any) -> Constants | None:
+    def constants(self, robot: Any) -> StaticPytree | None:
         """Return a robot as constants, or None to pass it as an argument.
 
         None: its arrays are traced, it cannot be hashed, or the limit of constant robots of its
@@ -94,7 +94,7 @@ class ConstantRobots:
         found = self._seen.get(key)
         if found is None:
             try:
-                found = Constants(leaves, tree)
+                found = StaticPytree(leaves, tree)
             except TypeError:  # a leaf without a hash
                 return None
             _forget(self._seen)
@@ -203,7 +203,7 @@ def solve(
     least = 10 * float(jnp.finfo(problem.dt.dtype).eps)
     largest = jnp.maximum(violation, least) if inside else max(float(violation), least)
     rule = StoppingRule(number(tolerance), number(largest), number(iterations))
-    options = Options(
+    options = SolveOptions(
         rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
     )
     began = began._replace(multipliers=None)
@@ -285,7 +285,13 @@ def _as_number(x: Any) -> Any:
 
 
 def _solve(
-    numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
+    numeric: Any,
+    start: Any,
+    guess: Guess,
+    options: SolveOptions,
+    key: tuple,
+    method: Any,
+    history: int,
 ) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
     """Solve a problem. Return the result, the violation of each constraint, the times and the
     parameters."""
@@ -304,7 +310,7 @@ def _solve(
 
 
 def _search(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions, method: Any,
     history: int,
 ) -> tuple[SearchResult, jax.Array]:  # fmt: skip
     """Run a method, and correct its status for violated constraints and nan values."""

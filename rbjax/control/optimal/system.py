@@ -30,7 +30,7 @@ from rbjax.motion.linearise import box_minus, box_plus, linearise_euler_step
 
 
 @displayed
-class Linearised(NamedTuple):
+class LinearisedStep(NamedTuple):
     """The state after a step, and its derivatives A (n, n) and B (n, m) on the tangent space."""
 
     after: Any
@@ -108,7 +108,7 @@ class System(Record):
             "time; take another method, such as 'ddp', or write the rates as rb.control.Equations"
         )
 
-    def linear(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Linearised:
+    def linear(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> LinearisedStep:
         """Return the step and its derivatives, by forward differentiation of `step`."""
         after = self.step(t, state, ctrl, dt)
 
@@ -117,10 +117,10 @@ class System(Record):
 
         zero = jnp.zeros(self.n, ctrl.dtype)
         A, B = jax.jacfwd(moved, (0, 1))(zero, jnp.zeros_like(ctrl))
-        return Linearised(after, A, B)
+        return LinearisedStep(after, A, B)
 
 
-class Robot(System):
+class ModelSystem(System):
     """A `Model` with an integrator and dynamics.
 
     robot: the model, with unlimited actuators; the optimiser enforces the control ranges, since
@@ -138,8 +138,8 @@ class Robot(System):
     def model(self) -> Model:
         return self.robot
 
-    def with_model(self, model: Model) -> Robot:
-        return Robot(unlimited(model), self.integrator, self.dynamics, self.ranges)
+    def with_model(self, model: Model) -> ModelSystem:
+        return ModelSystem(unlimited(model), self.integrator, self.dynamics, self.ranges)
 
     @property
     def n(self) -> int:
@@ -202,11 +202,11 @@ class Robot(System):
     def minus(self, one: State, other: State) -> jax.Array:
         return box_minus(self.robot, other, one)
 
-    def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> Linearised:
+    def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> LinearisedStep:
         if self.integrator is semi_implicit_euler and self.dynamics is free_motion:
             found = linearise_euler_step(self.robot, t, state, Inputs(ctrl), dt)
             if found is not None:
-                return Linearised(*found)
+                return LinearisedStep(*found)
         return super().linear(t, state, ctrl, dt)
 
 
@@ -319,7 +319,7 @@ def system_of(
     if isinstance(model, Model):
         dynamics = dynamics_of(where, model, dynamics, constraints)
         ranges = jnp.asarray(model.actuators.ctrlrange)
-        return Robot(
+        return ModelSystem(
             unlimited(model), integrator_of(where, integrator, dynamics, model), dynamics, ranges
         )
     if integrator is not None or dynamics is not free_motion or constraints is not None:

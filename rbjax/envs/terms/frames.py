@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Lane, safe_sqrt, total
 from rbjax.sensors.actuators import actuator_force
 from rbjax.sensors.fixed import named_frame
@@ -18,12 +18,12 @@ from rbjax.sensors.fixed import named_frame
 Term = Callable[[Any], Any]
 
 
-def frame_at(context: Context, frame: Any) -> Frame:
+def frame_at(context: Context, frame: Any) -> FrameState:
     """Return the motion of a frame at an instant.
 
     frame: name of a site or of a body, or an `rb.Frame`.
     """
-    found: dict[Any, Frame] = context.once(frame_at, dict)
+    found: dict[Any, FrameState] = context.once(frame_at, dict)
     if frame not in found:
         found[frame] = context.frame(named_frame(context.model, frame))
     return found[frame]

@@ -71,7 +71,7 @@ class Activation(Record):
         return jnp.where(jnp.abs(same - clip(same, limits, 0)) <= rounding, a, near)
 
 
-class Integrator(Activation):
+class ControlIntegral(Activation):
     """An activation a that integrates the control: a' = u."""
 
     @property

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from rbjax.forces.actuators.activation import at_least, lag_step
 from rbjax.forces.actuators.actuator import ForceLaw, Signals
-from rbjax.forces.actuators.pid import Controller
+from rbjax.forces.actuators.pid import PIDController
 from rbjax.lanes import Lane, add
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import Record
@@ -100,7 +100,7 @@ class DCMotor(ForceLaw):
 
     windings: Windings
     cogging: jax.Array
-    controller: Controller | None
+    controller: PIDController | None
     heat: Heat | None
     bristles: LuGre | None
     voltage: bool = eqx.field(static=True)

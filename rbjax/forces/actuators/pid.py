@@ -24,7 +24,7 @@ from rbjax.model.record import Record
 INPUTS = ("pos", "vel", "ff")
 
 
-class Controller(Record):
+class PIDController(Record):
     """A PID controller.
 
     gains: (3,) kp, ki, kv.
@@ -111,7 +111,7 @@ class PID(ForceLaw):
     early: whether the force uses the integral after the step; static.
     """
 
-    controller: Controller
+    controller: PIDController
     offset: jax.Array
     limits: jax.Array
     early: bool = eqx.field(static=True, default=False)

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.reach import Reach, arms_between, flexible_dofs, opposed_arms
 from rbjax.forces.tendons.paths import tendon_reach
 from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub
@@ -148,7 +148,9 @@ def joint_reach(context: Context, joint: int, gear: list[Lane], in_parent: bool 
     return Reach(0.0, {at + k: x for k, x in enumerate([*gear[:3], *own])})
 
 
-def relative_quaternion(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -> list[Lane]:
+def relative_quaternion(
+    site: FrameState, base: FrameState, dtype: jax.typing.DTypeLike
+) -> list[Lane]:
     """Compute the quaternion of a frame's attitude in the axes of another, not normalized."""
     R = base.rotation.T @ site.rotation
     return quaternion.from_matrix_lanes([jnp.asarray(x, dtype) for x in R])

@@ -12,13 +12,12 @@ import jax.numpy as jnp
 from rbjax.arguments import ArrayLike
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.reach import Arms, Piece, Reach, add_arms, arms_of_pieces, distance
 from rbjax.forces.tendons.wrapping import is_inside, wrapped
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.lanes.arrays import pack
-from rbjax.model import WORLD, Model, State
-from rbjax.model import Frame as NamedFrame
+from rbjax.model import WORLD, Frame, Model, State
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.tendons import Waypoint
@@ -143,7 +142,7 @@ def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     g, geoms = one.geom.index, context.model.geoms
     if geoms is None:
         raise InputError("a tendon wraps around a geom, but model.geoms is None; keep the geoms")
-    geom = context.frame(NamedFrame(geom=g))
+    geom = context.frame(Frame(geom=g))
     middle = geoms.bodies[g]
     centre = geom.position
     kind, radius = geoms.types[g], lane(table(geoms.size, context.q.dtype)[:, 0], g)
@@ -165,7 +164,7 @@ def _between_sites(context: Context, one: Segment) -> tuple[Lane, list[Piece]]:
     return path.length, [first, last]
 
 
-def _offset(a: Frame, b: Frame) -> Vec3:
+def _offset(a: FrameState, b: FrameState) -> Vec3:
     """Compute the vector from the origin of frame a to the origin of frame b: in world axes, or in
     the axes of the link that carries both, where it is constant."""
     if a.link == b.link and a.link != WORLD:

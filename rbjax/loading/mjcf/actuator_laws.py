@@ -12,10 +12,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Muscle, Recruitment
+from rbjax.forces.actuators.activation import (
+    Activation,
+    ControlIntegral,
+    Filter,
+    Muscle,
+    Recruitment,
+)
 from rbjax.forces.actuators.actuator import Active, Affine, ForceLaw, GainBias, Passive
 from rbjax.forces.actuators.dc_motor import DCMotor, Heat, LuGre, Windings
-from rbjax.forces.actuators.pid import INPUTS, PID, Controller
+from rbjax.forces.actuators.pid import INPUTS, PID, PIDController
 from rbjax.loading.mjcf.fields import Bias, Dyn, Gain, is_circular, leaf
 from rbjax.loading.write.draft import text
 
@@ -99,7 +105,7 @@ def read_activation(m: mujoco.MjModel, i: int) -> Activation | None:
     if kind == Dyn.NONE:
         return None
     if kind == Dyn.INTEGRATOR:
-        return Integrator(limits)
+        return ControlIntegral(limits)
     if kind == Dyn.MUSCLE:
         smooth = bool(given[2] >= mujoco.mjMINVAL)
         return Recruitment(limits, leaf(given[:2]), leaf(given[2]), smooth)
@@ -110,9 +116,9 @@ def _actrange(m: mujoco.MjModel, i: int) -> Any:
     return leaf(m.actuator_actrange[i] if m.actuator_actlimited[i] else [-np.inf, np.inf])
 
 
-def _controller(m: mujoco.MjModel, i: int, given: SimpleNamespace) -> Controller:
+def _controller(m: mujoco.MjModel, i: int, given: SimpleNamespace) -> PIDController:
     spec = int(m.actuator_ctrlspec[i])
-    return Controller(
+    return PIDController(
         leaf([given.kp, given.ki, given.kv]),
         leaf(given.windup),
         leaf(given.slew),
@@ -159,7 +165,7 @@ def write_activation(activation: Activation | None, early: bool) -> dict[str, st
     if activation is None:
         return {}
     out = limits_text("actrange", activation.limits) | ({"actearly": "true"} if early else {})
-    if isinstance(activation, Integrator):
+    if isinstance(activation, ControlIntegral):
         return out | {"dyntype": "integrator"}
     if isinstance(activation, Recruitment):
         width = activation.width if activation.smooth else 0.0
@@ -210,7 +216,7 @@ def shortened(x: Any) -> str:
     return text(np.trim_zeros(x, "b") if np.any(x) else 0.0)
 
 
-def _gains(own: Controller) -> dict[str, Any]:
+def _gains(own: PIDController) -> dict[str, Any]:
     kp, ki, kv = own.gains
     return {"kp": kp, "ki": ki, "kv": kv, "windup": own.windup, "slew": own.slew}
 

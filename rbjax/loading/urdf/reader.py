@@ -32,7 +32,7 @@ from rbjax.loading.urdf.inertials import Inertial, add_placeholder, read_inertia
 from rbjax.loading.urdf.shapes import add_primitives, add_shapes
 from rbjax.loading.urdf.tree import (
     GROUND,
-    Tree,
+    LinkTree,
     UrdfJoint,
     left_out,
     number,
@@ -116,7 +116,7 @@ def read_urdf(
     return Urdf(spec, inertials, read_mimics(tree, name), dropped)
 
 
-def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
+def _free_ground(tree: LinkTree, inertials: dict[str, Inertial], name: str) -> None:
     """Make the root 'world' a moving link, unless another link already floats on it."""
     if any(x.kind == "floating" and x.parent == GROUND for x in tree.joints):
         return
@@ -135,7 +135,7 @@ def _free_ground(tree: Tree, inertials: dict[str, Inertial], name: str) -> None:
     inertials[tree.root] = own
 
 
-def _from_the_ground(tree: Tree, *, floating_base: bool) -> list[UrdfJoint]:
+def _from_the_ground(tree: LinkTree, *, floating_base: bool) -> list[UrdfJoint]:
     """List the joints from the ground on, parents before children. A link that floats on a fixed
     root is moved to the ground."""
     children, root = tree.children(), tree.root
@@ -212,7 +212,7 @@ def _add_joints(body: Any, joint: UrdfJoint, at: str) -> None:
         body.add_joint(name=joint.name, type=kind, axis=along, **limits, **passive)
 
 
-def read_mimics(tree: Tree, name: str) -> Mimics:
+def read_mimics(tree: LinkTree, name: str) -> Mimics:
     """Read the mimic joints of a robot. Mimics on fixed joints are ignored."""
     kinds = {joint.name: joint.kind for joint in tree.joints}
     couplings, names, others = [], [], []

@@ -90,7 +90,7 @@ class UrdfJoint:
 
 
 @dataclass
-class Tree:
+class LinkTree:
     """The links by name, the joints in the order of the file, and the root link."""
 
     links: dict[str, ET.Element]
@@ -120,7 +120,7 @@ class Tree:
             joint.child = new if joint.child == GROUND else joint.child
 
 
-def read_tree(robot: ET.Element, name: str) -> Tree:
+def read_tree(robot: ET.Element, name: str) -> LinkTree:
     """Read the tree of a <robot>; raise ModelError if its joints are not a tree."""
     links = robot.findall("link")
     if not links:
@@ -134,7 +134,7 @@ def read_tree(robot: ET.Element, name: str) -> Tree:
             )
     by_name = {link.get("name", ""): link for link in links}
     joints = [_joint(element, by_name, name) for element in robot.findall("joint")]
-    tree = Tree(by_name, joints, _root(joints, set(by_name), name))
+    tree = LinkTree(by_name, joints, _root(joints, set(by_name), name))
     if tree.root != GROUND and GROUND in by_name:
         tree.rename_ground()
     return tree
@@ -194,7 +194,7 @@ def _root(joints: list[UrdfJoint], links: set[str], name: str) -> str:
     return roots[0]
 
 
-def left_out(tree: Tree, name: str, *, floating_base: bool) -> tuple[str, ...]:
+def left_out(tree: LinkTree, name: str, *, floating_base: bool) -> tuple[str, ...]:
     """List the entries of `Model.dropped`: inverted limits, collision shapes, a fixed root with a
     mass."""
     out = []

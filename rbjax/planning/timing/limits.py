@@ -13,7 +13,7 @@ from rbjax.arguments import check_positive, instance
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.wheeled import RobotModel, TorqueSource
-from rbjax.wheeled.models.rolling import Rolling
+from rbjax.wheeled.models.rolling import RollingModel
 
 
 def _number(default: float) -> Any:
@@ -67,7 +67,7 @@ def check_can_follow(where: str, model: Any, limits: Any) -> None:
     drives as free velocities. Its steerings must have no lag and a finite rate limit.
     """
     public = 'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "reduced") gives it'
-    instance(where, "model", model, Rolling, public)
+    instance(where, "model", model, RollingModel, public)
     instance(where, "limits", limits, Limits, "rbjax.planning.Limits")
     robot = model.robot
     drives, nv = len(robot.drives), model.nv

@@ -163,7 +163,7 @@ class Shooting(NamedTuple):
         return (end, by_end @ S[-1]), (low.ravel(), G.reshape(-1, G.shape[-1]))
 
 
-class Iterate(NamedTuple):
+class ShootingIterate(NamedTuple):
     """Iterate of the optimisation."""
 
     w: jax.Array  # (n, nu + 1), the scaled controls
@@ -172,7 +172,7 @@ class Iterate(NamedTuple):
     taken: jax.Array  # the number of accepted steps
 
 
-def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
+def optimise(s: Shooting, w: jax.Array, iterations: int) -> ShootingIterate:
     """Minimise the penalty function from initial controls w (n, nu + 1)."""
     n = len(w)
     one = jnp.ones_like(w)
@@ -184,7 +184,7 @@ def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
     def penalty(equal, below):
         return PRICE * (jnp.abs(equal).sum() + jnp.maximum(below, 0.0).sum())
 
-    def iteration(now: Iterate) -> Iterate:
+    def iteration(now: ShootingIterate) -> ShootingIterate:
         w, first = now.w, now.iterations_done < iterations
         cost = first * by_time
         (e, E), (b, B) = s.linear(w)
@@ -219,12 +219,14 @@ def optimise(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
         radius = jnp.minimum(radius, 1.0)
         iterations_done = jnp.where(first & (radius < LEAST), iterations, now.iterations_done + 1)
         radius = jnp.where(iterations_done == iterations, FIRST, radius)
-        return Iterate(jnp.where(good, steps[k], w), radius, iterations_done, now.taken + good)
+        return ShootingIterate(
+            jnp.where(good, steps[k], w), radius, iterations_done, now.taken + good
+        )
 
-    def goes_on(now: Iterate):
+    def goes_on(now: ShootingIterate):
         return (now.iterations_done < iterations + LAST) & (now.radius > LEAST)
 
     zero = jnp.zeros((), int)
     w = jnp.clip(w, lowest, highest)
-    begin = Iterate(w, jnp.full((), FIRST, w.dtype), zero, zero)
+    begin = ShootingIterate(w, jnp.full((), FIRST, w.dtype), zero, zero)
     return jax.lax.while_loop(goes_on, iteration, begin)

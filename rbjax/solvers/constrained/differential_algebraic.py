@@ -38,9 +38,9 @@ from rbjax.rank_tolerances import rank_tolerance
 from rbjax.solvers.constrained.schur_complement import Complement, Factored, Matrix, complement
 from rbjax.solvers.constrained.simplified import (
     Blocks,
+    MethodMatrix,
     Simplified,
     Sizes,
-    Weights,
     simplified,
     weight,
 )
@@ -66,7 +66,7 @@ SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
-class Equations:
+class AlgebraicEquations:
     """A system of differential-algebraic equations.
 
     Fields:
@@ -83,7 +83,7 @@ class Equations:
     ggl: int = 0
 
 
-class Point(NamedTuple):
+class StepStart(NamedTuple):
     """Start of a step, where the Jacobian is evaluated; also the initial guess of its stages."""
 
     t: Any
@@ -98,13 +98,13 @@ class StageProblem(NamedTuple):
     h: Any
     t: jax.Array  # (s,)
     y: jax.Array  # (s, n)
-    weights: Weights
-    start: Point
+    weights: MethodMatrix
+    start: StepStart
     free_diagonal: jax.Array
     read: tuple  # closed-over values of f
 
 
-class Stages(NamedTuple):
+class StageSolution(NamedTuple):
     """Solution of the stage equations.
 
     Fields:
@@ -119,13 +119,18 @@ class Stages(NamedTuple):
 
 
 def solve(
-    equations: Equations, h: Any, t: jax.Array, y: jax.Array, weights: Weights, start: Point
-) -> Stages:
+    equations: AlgebraicEquations,
+    h: Any,
+    t: jax.Array,
+    y: jax.Array,
+    weights: MethodMatrix,
+    start: StepStart,
+) -> StageSolution:
     """Solve the equations of the stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
     # jit traces f only once
-    system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.ggl))
+    system = StageSystem(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.ggl))
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
 
     @eqx.filter_custom_jvp
@@ -144,15 +149,17 @@ def solve(
 
     found, _ = root(StageProblem(h, t, y, weights, start, free_diagonal, tuple(read)))
     x = found[:-1].reshape(s, -1)
-    return Stages(x[:, :n], x[:, n:], found[-1] > 0)
+    return StageSolution(x[:, :n], x[:, n:], found[-1] > 0)
 
 
-def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
+def damp_error(
+    equations: AlgebraicEquations, gamma_h: Any, start: StepStart, raw: jax.Array
+) -> jax.Array:
     """Damp an error estimate `raw` (n,) of y by an implicit Euler step of the linearized equations.
     The step gamma h removes stiff parts and parts across the constraints."""
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))
     n, one = raw.size, weight(jnp.ones((), raw.dtype))
-    system = System(equations.f, Sizes(n, 0, equations.depth, 0))
+    system = StageSystem(equations.f, Sizes(n, 0, equations.depth, 0))
     slopes = system.slope(*start, ())[None]
     residual = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
     change = -Factored(system.matrix(slopes, gamma_h, one), free_diagonal).solved(residual)
@@ -160,7 +167,7 @@ def damp_error(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array)
 
 
 @dataclass(frozen=True)
-class System:
+class StageSystem:
     """The stage equations f(t, y, rates, w, *read) = 0 of a step, in x = (rates, w)."""
 
     f: Callable[..., jax.Array]
@@ -180,7 +187,7 @@ class System:
         out = each(lambda *stage: self.f(*stage, *at.read), *self.stages(x, at))
         return self.weighted(out, at.h, at.weights)
 
-    def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
+    def weighted(self, rows: jax.Array, h: Any, weights: MethodMatrix) -> jax.Array:
         """Multiply the algebraic rows, the last m of (s, n + m, ...), by (h A)^-depth."""
         back, parts, at = weights.inverse / h, [rows[:, : self.n]], self.n
         for p in self.sizes.depth:
@@ -227,7 +234,7 @@ class System:
         slopes = jax.vmap(functools.partial(self.slope, read=at.read))(*self.stages(x, at))
         return self.matrix(slopes, at.h, at.weights)
 
-    def matrix(self, slopes: jax.Array, h: Any, weights: Weights) -> Matrix:
+    def matrix(self, slopes: jax.Array, h: Any, weights: MethodMatrix) -> Matrix:
         """Assemble d residual / d (rates, w) from the slopes at the stages (s, n + m, 2 n + m)."""
         n, s = self.n, len(slopes)
         m = slopes.shape[1] - n

@@ -67,7 +67,7 @@ def spectrum(a: np.ndarray) -> Spectrum:
     return Spectrum(to, np.linalg.inv(to), values[real].real, pairs)
 
 
-class Weights(NamedTuple):
+class MethodMatrix(NamedTuple):
     """Runge-Kutta matrix A (s, s) of an implicit method.
 
     Fields:
@@ -81,17 +81,17 @@ class Weights(NamedTuple):
     spectrum: Spectrum
 
 
-def weights(a: np.ndarray, dtype: Any) -> Weights:
+def weights(a: np.ndarray, dtype: Any) -> MethodMatrix:
     """Compute the weights of a method with invertible A."""
-    found = Weights(a, np.linalg.inv(a), spectrum(a))
+    found = MethodMatrix(a, np.linalg.inv(a), spectrum(a))
     return jax.tree.map(lambda x: jnp.asarray(x, dtype), found)
 
 
-def weight(a: jax.Array) -> Weights:
+def weight(a: jax.Array) -> MethodMatrix:
     """Return the weights of a method of one stage, whose A is a scalar."""
     a = a.reshape(1, 1)
     one = jnp.ones_like(a)
-    return Weights(a, 1 / a, Spectrum(one, one, a[0], jnp.zeros((0, 2), a.dtype)))
+    return MethodMatrix(a, 1 / a, Spectrum(one, one, a[0], jnp.zeros((0, 2), a.dtype)))
 
 
 #: the inverse of a real matrix, or the real and imaginary part of the inverse of a complex one
@@ -144,7 +144,7 @@ class Simplified(NamedTuple):
 
     sizes: Sizes
     h: Any
-    weights: Weights
+    weights: MethodMatrix
     blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
@@ -195,7 +195,7 @@ class Simplified(NamedTuple):
 
 
 def simplified(
-    push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: Weights,
+    push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: MethodMatrix,
     free_diagonal: jax.Array,
 ) -> Blocks:  # fmt: skip
     """Compute and invert the blocks of the simplified Newton matrix.

@@ -242,7 +242,7 @@ def estimates(solver: diffrax.AbstractSolver) -> bool:
     return eqx.filter_eval_shape(error, x[0], (x, x)) is not None
 
 
-class Run(NamedTuple):
+class SceneRun(NamedTuple):
     """A run of a solver on a scene."""
 
     q: np.ndarray  # (201, n), as v
@@ -251,7 +251,7 @@ class Run(NamedTuple):
     reached: float  # time in s that the run reached
 
 
-def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
+def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> SceneRun:
     solver = fixed_step_solver(solver)
     state = jax.tree.map(lambda x: jnp.asarray(x, dtype), scene.state)
     term: Any
@@ -269,13 +269,13 @@ def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
     times = {"every": scene.every, "samples": SAMPLES}
     run = long_run(term, solver, state, scene.dt, kept, **times, args=args)
     q, v = (np.asarray(x, np.float64) for x in jax.tree.leaves(run.kept))
-    return Run(q, v, _ENDINGS[int(run.ending)], int(run.steps) * scene.dt)
+    return SceneRun(q, v, _ENDINGS[int(run.ending)], int(run.steps) * scene.dt)
 
 
 _ENDINGS = {DONE: None, NOT_FINITE: Outcome.BLOWS_UP, NO_ROOT: Outcome.NO_ROOT}
 
 
-def _adaptively(solver: Any, scene: Scene) -> Run:
+def _adaptively(solver: Any, scene: Scene) -> SceneRun:
     if not isinstance(scene.system, Arm):
         raise InputError("attempt: an adaptive scene of a body, expected one of an arm")
     path = _simulated(scene.system.model(), scene.state, jnp.asarray(scene.ts), solver)
@@ -290,7 +290,7 @@ def _adaptively(solver: Any, scene: Scene) -> Run:
     elif not alive.all():
         ending = Outcome.BLOWS_UP
     q, v = (np.where(np.arange(len(x))[:, None] <= last, x, x[last]) for x in (q, v))
-    return Run(q, v, ending, float(scene.ts[last]))
+    return SceneRun(q, v, ending, float(scene.ts[last]))
 
 
 @eqx.filter_jit
@@ -308,7 +308,7 @@ def _hold(t: Any, state: State) -> jax.Array:
     return jnp.zeros_like(state.v)
 
 
-def _judged(scene: Scene, run: Run, observed: np.ndarray) -> Verdict:
+def _judged(scene: Scene, run: SceneRun, observed: np.ndarray) -> Verdict:
     ts, system, ending, reached = scene.ts, scene.system, run.ending, run.reached
     fast = np.abs(run.v).max(1) > MOTION * scene.speed
     if fast.any() and ts[fast.argmax()] <= reached:

@@ -23,7 +23,7 @@ from rbjax.motion.field import dynamics_of, free_motion
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording, noise_is_stated
-from rbjax.sysid.estimators.identified import Identified, Options, read_fit
+from rbjax.sysid.estimators.identified import FitOptions, Identified, read_fit
 from rbjax.sysid.estimators.staged_fit import Fit, StagedFit, start_grid
 from rbjax.sysid.estimators.verdict import judge
 from rbjax.sysid.parameters.unknown_vector import Unknowns
@@ -135,7 +135,7 @@ def identify(
             )
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
-    options = Options(
+    options = FitOptions(
         grid, segments, multiple_shooting, estimate_initial_state, loss, max_evaluations, restarts,
         difference_step,
     )  # fmt: skip
@@ -150,7 +150,7 @@ def identify(
 
 
 def fit_in_stages(
-    setup: Setup, unknowns: Unknowns, runs: Sequence[Recording], options: Options, *,
+    setup: Setup, unknowns: Unknowns, runs: Sequence[Recording], options: FitOptions, *,
     x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip

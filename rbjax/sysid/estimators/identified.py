@@ -32,7 +32,7 @@ from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.statistics.rank import Combinations
 
 
-class Options(NamedTuple):
+class FitOptions(NamedTuple):
     """The options of a fit, with the meaning of the arguments of `identify`."""
 
     grid: Grid | None = None
@@ -84,7 +84,7 @@ class Identified(HasStatus):
     statistics: FitStatistics
     verdict: Verdict
     notes: tuple[str, ...]
-    options: Options
+    options: FitOptions
 
     @property
     def model(self) -> Model:

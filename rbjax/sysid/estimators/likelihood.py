@@ -36,7 +36,7 @@ from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import state_of_readings
-from rbjax.sysid.statistics.fit_statistics import Column, Rows
+from rbjax.sysid.statistics.fit_statistics import ResidualColumn, ResidualRows
 from rbjax.sysid.statistics.rank import triangle_of
 
 #: largest allowed distance of a sample from an instant of the grid, in periods
@@ -62,7 +62,7 @@ class Series(NamedTuple):
     arrived: Any
 
 
-class Levels(NamedTuple):
+class NoiseLevels(NamedTuple):
     """Standard deviations of process and measurement noise.
 
     Fields:
@@ -83,7 +83,7 @@ class Likelihood:
     """
 
     def __init__(
-        self, setup: Setup, unknowns: Unknowns, series: Series, grid: Grid, *, levels: Levels,
+        self, setup: Setup, unknowns: Unknowns, series: Series, grid: Grid, *, levels: NoiseLevels,
         drives: np.ndarray, reads: np.ndarray, drive: str = "torque",
     ):  # fmt: skip
         self.unknowns, self.series = unknowns, series
@@ -174,11 +174,11 @@ class Likelihood:
         self._values = jax.jit(jax.vmap(value, (None, 0)))
         self._rows = jax.jit(jax.vmap(rows, (None, 0)))
 
-    def levels_of(self, x: Any) -> Levels:
+    def levels_of(self, x: Any) -> NoiseLevels:
         """Compute the noise levels at x."""
         n, k = self.shared, self.drives.size
         drive, reading = (jnp.asarray(a) for a in self.levels)
-        return Levels(
+        return NoiseLevels(
             drive.at[self.drives].set(jnp.exp(x[n : n + k])),
             reading.at[self.reads].set(jnp.exp(x[n + k :])),
         )
@@ -193,7 +193,7 @@ class Likelihood:
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
 
-    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
+    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[ResidualColumn]:
         """Compute the rows of the score by column, as input of `fit_statistics`.
 
         x is in units of `scale`. The equal rows (i, j) and (j, i) of the covariance are merged into
@@ -208,9 +208,9 @@ class Likelihood:
         place, which = np.arange(times), np.arange(self.size)
         found = []
 
-        def rows(k: int, c: int, double: float, at: np.ndarray) -> Rows:
+        def rows(k: int, c: int, double: float, at: np.ndarray) -> ResidualRows:
             ones = np.ones(int(at.sum()))
-            return Rows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
+            return ResidualRows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
 
         for c in range(m + m * m):
             i, j = divmod(c - m, m) if c >= m else (c, c)
@@ -218,7 +218,7 @@ class Likelihood:
                 continue
             double = np.sqrt(2.0) if i < j else 1.0
             both = arrived[:, :, i] & arrived[:, :, j]
-            found.append(Column(
+            found.append(ResidualColumn(
                 f"row {i}" if c < m else f"variance {i},{j}",
                 [rows(k, c, double, both[k]) for k in range(runs)], True,
             ))  # fmt: skip

@@ -23,7 +23,7 @@ from rbjax.status import Status
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
-from rbjax.sysid.estimators.identified import Identified, Options
+from rbjax.sysid.estimators.identified import FitOptions, Identified
 from rbjax.sysid.estimators.least_squares import Minimum, Request, search
 from rbjax.sysid.estimators.staged_fit import StagedFit
 from rbjax.sysid.parameters.unknown_vector import Unknowns, draw_guesses
@@ -162,7 +162,7 @@ def many_starts(
     integer("many_starts", "seed", seed, least=0)
     spread = real_number("many_starts", "spread", spread, "a number above 0", above=0.0)
     points = _guesses(guesses, sought, setup, spread, seed)
-    options = Options(grid=grid, estimate_initial_state=estimate_initial_state, loss=loss)
+    options = FitOptions(grid=grid, estimate_initial_state=estimate_initial_state, loss=loss)
     stages = StagedFit(setup, sought, runs, options)
     stages.shorten_steps()
     of, grid = stages.error(runs), stages.grid

@@ -31,7 +31,7 @@ from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import Tolerances, minimise
-from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, make_series
+from rbjax.sysid.estimators.likelihood import DRIVES, Likelihood, NoiseLevels, Series, make_series
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.parameters.unknowns import Parametrisation
 from rbjax.sysid.simulation.runs import order_columns
@@ -78,7 +78,7 @@ class Predicted(HasStatus):
     guess: dict[str, float]
     identifiable: Combinations
     estimates: Estimates
-    levels: Levels
+    levels: NoiseLevels
     recordings: tuple[Recording, ...]
     log_likelihood: float
     evaluations: int
@@ -255,7 +255,7 @@ def prediction_error(
     return Predicted(
         found, values, first, combinations(project_out_others(best.triangle, n), sought.names),
         statistics.estimates,
-        Levels(*(np.asarray(a) for a in of.levels_of(x))), tuple(runs), -best.cost / 2,
+        NoiseLevels(*(np.asarray(a) for a in of.levels_of(x))), tuple(runs), -best.cost / 2,
         best.evaluations + len(TRIALS), best.status, grid, of, x, setup, statistics,
     )  # fmt: skip
 
@@ -294,7 +294,7 @@ def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarra
 
 def _first_levels(
     setup: Setup, runs: Sequence[Recording], series: Series
-) -> tuple[Levels, np.ndarray]:
+) -> tuple[NoiseLevels, np.ndarray]:
     """Return the noise of the sensors (rows,), and the mask of the unknown entries.
 
     Noise that is not stated is estimated from third differences.
@@ -320,7 +320,7 @@ def _first_levels(
         least = 1e-6 * max(float(np.abs(np.concatenate(steps)).max()), 1e-6)
         sigma.append(np.maximum(found, least))
         sought.append(np.ones(model.nv, bool))
-    return Levels(np.zeros(model.nv), np.concatenate(sigma)), np.concatenate(sought)
+    return NoiseLevels(np.zeros(model.nv), np.concatenate(sigma)), np.concatenate(sought)
 
 
 def _moving_drive(setup: Setup, series: Series, grid: Grid, drive: str) -> np.ndarray:

@@ -22,7 +22,7 @@ from rbjax.progress import Say
 from rbjax.rank_tolerances import rank_tolerance
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import Recording, noise_is_stated
-from rbjax.sysid.estimators.identified import Options, write_fit
+from rbjax.sysid.estimators.identified import FitOptions, write_fit
 from rbjax.sysid.estimators.least_squares import (
     PRIOR_WEIGHTS,
     Minimum,
@@ -78,8 +78,8 @@ class StagedFit:
     """
 
     def __init__(
-        self, setup: Setup, unknowns: Unknowns, recordings: Sequence[Recording], options: Options,
-        *, save: str | Path | None = None, say: Say = lambda text: None,
+        self, setup: Setup, unknowns: Unknowns, recordings: Sequence[Recording], 
+        options: FitOptions, *, save: str | Path | None = None, say: Say = lambda text: None,
     ):  # fmt: skip
         self.setup, self.unknowns, self.recordings = setup, unknowns, recordings
         self.options, self.save, self.say = options, save, say

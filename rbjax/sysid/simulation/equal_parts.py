@@ -22,8 +22,8 @@ from rbjax.sysid.simulation.setup import (
     PD,
     Calibration,
     Grid,
-    Path,
     Setup,
+    SimulatedPath,
     prepare_setup,
     simulate_motion,
     simulate_states,
@@ -131,7 +131,7 @@ def extract_part(setup: Setup, part: Part) -> Setup:
 def simulate_parts(
     parts: tuple[Part, ...] | None, made: Callable[[jax.Array], Setup], p: jax.Array, start: State,
     commands: jax.Array, grid: Grid, *, keep: int | None = None, count: int = 1,
-) -> Path:  # fmt: skip
+) -> SimulatedPath:  # fmt: skip
     """Simulate equal parts as one batch, or the whole robot if `parts` is None."""
     if parts is None:
         return simulate_motion(made, p, start, commands, grid, keep=keep, count=count)
@@ -161,7 +161,7 @@ def simulate_parts(
         return jnp.moveaxis(x, 0, 1).reshape(x.shape[1], -1)[:, np.argsort(which.ravel())]
 
     ctrls = commands if ctrls is None else merge(ctrls, driven)
-    return Path(merge(states.q, at), merge(states.v, at), None, ctrls)
+    return SimulatedPath(merge(states.q, at), merge(states.v, at), None, ctrls)
 
 
 def _separate(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Array]:

@@ -158,7 +158,7 @@ class Grid(NamedTuple):
         return default_integrator(dynamics, model, "rk4")
 
 
-class Path(NamedTuple):
+class SimulatedPath(NamedTuple):
     """A simulated motion under N commands.
 
     Fields:
@@ -175,7 +175,7 @@ class Path(NamedTuple):
 def simulate_motion(
     made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid,
     *, keep: int | None = None, count: int = 1,
-) -> Path:  # fmt: skip
+) -> SimulatedPath:  # fmt: skip
     """Simulate the set-up made(p) under commands (N, n).
 
     Args:
@@ -188,7 +188,7 @@ def simulate_motion(
     states, ctrls = simulate_states(
         lambda p: prepare_setup(made(p)), p, start, commands, grid, keep, count
     )
-    return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
+    return SimulatedPath(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
 
 def simulate_states(
@@ -332,7 +332,9 @@ def scan_periods(once: Callable, carry: Any, commands: jax.Array, keep: int | No
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
-def read_sensor(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
+def read_sensor(
+    setup: Setup, path: SimulatedPath, grid: Grid, kind: str, times: jax.Array
+) -> jax.Array:
     """Compute the readings (T, n) of a sensor at times (T,) after the start."""
     calibration, sensor = setup.sensors[kind], setup.sensor(kind)
     delayed = times - calibration.delay
@@ -340,7 +342,7 @@ def read_sensor(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Arra
     return calibration.scale * read + calibration.bias
 
 
-def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
+def _context_at(setup: Setup, path: SimulatedPath, grid: Grid, t: Any) -> Context:
     """Create the context of a sensor at time t.
 
     A command also acts on samples up to a thousandth of a period before it.
@@ -354,7 +356,7 @@ def _context_at(setup: Setup, path: Path, grid: Grid, t: Any) -> Context:
     return Context.of(setup.model, t, state, ctrl, T / grid.substeps)
 
 
-def interpolate_state(model: Model, path: Path, T: float, t: Any) -> State:
+def interpolate_state(model: Model, path: SimulatedPath, T: float, t: Any) -> State:
     """Interpolate the state at time t by a cubic Hermite polynomial."""
     last = path.q.shape[0] - 2
     k = jnp.clip(jnp.floor(t / T + 1e-9).astype(int), 0, last)

@@ -29,8 +29,8 @@ from rbjax.sysid.simulation.jacobian_colouring import ALL, Colouring, colour_jac
 from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
-from rbjax.sysid.simulation.setup import Grid, Path, Setup, read_sensor
-from rbjax.sysid.statistics.fit_statistics import Column, Rows
+from rbjax.sysid.simulation.setup import Grid, Setup, SimulatedPath, read_sensor
+from rbjax.sysid.statistics.fit_statistics import ResidualColumn, ResidualRows
 from rbjax.sysid.statistics.rank import triangle_of
 
 #: with loss="huber", the cost grows linearly above this residual in sigma
@@ -50,8 +50,8 @@ class Programs(NamedTuple):
         colour: sensors of the runs -> `Colouring`, or None.
     """
 
-    simulate: Callable[[jax.Array, Run], tuple[Setup, Path]]
-    compare: Callable[[Setup, Path, Run], jax.Array]
+    simulate: Callable[[jax.Array, Run], tuple[Setup, SimulatedPath]]
+    compare: Callable[[Setup, SimulatedPath, Run], jax.Array]
     readings: Callable[[jax.Array, Run], dict[str, jax.Array]]
     residuals: Callable[[jax.Array, Run], jax.Array]
     slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
@@ -67,7 +67,7 @@ def make_programs(
     """
     n, parts = sum(unknowns.sizes), equal_parts(setup)
 
-    def simulate(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
+    def simulate(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, SimulatedPath]:
         p, s = x[:n], x[n:]
         made = functools.partial(unknowns.write, setup)
         now = made(p)
@@ -79,10 +79,10 @@ def make_programs(
         path = simulate_parts(parts, made, p, start, run.commands, grid, keep=keep, count=count)
         return now, path
 
-    def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
+    def read(now: Setup, path: SimulatedPath, run: Run) -> dict[str, jax.Array]:
         return {k: read_sensor(now, path, grid, k, run.times[k]) for k in run.values}
 
-    def compare(now: Setup, path: Path, run: Run) -> jax.Array:
+    def compare(now: Setup, path: SimulatedPath, run: Run) -> jax.Array:
         parts = []
         for kind, seen in read(now, path, run).items():
             columns = setup.columns(kind)
@@ -274,7 +274,7 @@ class SimulationError:
         least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)
 
-    def columns(self, x: np.ndarray, stated: Collection[str]) -> list[Column]:
+    def columns(self, x: np.ndarray, stated: Collection[str]) -> list[ResidualColumn]:
         """Compute residuals and Jacobian at x by column, as input of `fit_statistics`.
 
         `stated` are the sensors with stated noise.
@@ -300,15 +300,17 @@ class SimulationError:
                         inside = np.abs(off) < HUBER
                         psi = np.where(inside, off, HUBER * np.sign(off))
                         J = J * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
-                    runs.append(Rows(J, psi, inside, place[k][rows], which[k], bases[sensor][c]))
+                    runs.append(
+                        ResidualRows(J, psi, inside, place[k][rows], which[k], bases[sensor][c])
+                    )
                 if any(len(rows.psi) for rows in runs):
-                    found.append(Column(f"{sensor}[{c}]", runs, sensor in stated))
+                    found.append(ResidualColumn(f"{sensor}[{c}]", runs, sensor in stated))
         priors, none = self.unknowns.prior_rows(x[:n]), np.zeros(0, int)
         if len(priors):
             J, ones = np.pad(priors[:, :n], ((0, 0), (0, l))), np.ones(len(priors))
-            rest = [Rows(J[:0], none, none, none, at) for at in which[1:]]
-            first = Rows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
-            found.append(Column("prior", [first, *rest], True))
+            rest = [ResidualRows(J[:0], none, none, none, at) for at in which[1:]]
+            first = ResidualRows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
+            found.append(ResidualColumn("prior", [first, *rest], True))
         return found
 
     def _bases(self) -> dict[str, list[np.ndarray | None]]:

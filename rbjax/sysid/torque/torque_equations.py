@@ -22,7 +22,13 @@ from rbjax.arguments import instance
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.status import HasStatus, Status
-from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
+from rbjax.sysid.statistics.fit_statistics import (
+    FEW,
+    FitStatistics,
+    ResidualColumn,
+    ResidualRows,
+    fit_statistics,
+)
 from rbjax.sysid.statistics.rank import Combinations, combinations
 
 Array = np.ndarray
@@ -322,7 +328,7 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
-        Column(
+        ResidualColumn(
             f"channel {c}",
             [
                 _rows(eq.counted[a:b, c], X[a:b, c], psi[a:b, c], slope[a:b, c])
@@ -336,7 +342,7 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     return fit_statistics(names, np.zeros(len(names)), columns)
 
 
-def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> Rows:
+def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> ResidualRows:
     """Select the rows of a channel in a recording that have a nonzero weight."""
     which = np.arange(X.shape[-1])
-    return Rows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)
+    return ResidualRows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)

@@ -151,7 +151,7 @@ def from_file(
 
 
 @dataclass(frozen=True)
-class View:
+class FileFrames:
     """The frames of the chassis and of trailers, with parallel axes."""
 
     roles: Roles
@@ -169,7 +169,9 @@ class View:
         return np.pi if angle == -np.pi else angle
 
 
-def view_of(named: Roles, found: Sequence[FileWheel], frame: str | None, tolerance: float) -> View:
+def view_of(
+    named: Roles, found: Sequence[FileWheel], frame: str | None, tolerance: float
+) -> FileFrames:
     rest = named.rest
     name = rest.body_name(rest.root(named.wheels[0])) if frame is None else frame
     origin, axes = rest.frame(name)
@@ -197,10 +199,10 @@ def view_of(named: Roles, found: Sequence[FileWheel], frame: str | None, toleran
         seen, coupling = (turn.T @ p for p in (np.mean(places, 0), rest.anchor(hitch)))
         at = turn @ np.array([seen[0], coupling[1], 0.0])
         origins.append(np.array([*at[:2], ground]))
-    return View(named, tuple(origins), turn)
+    return FileFrames(named, tuple(origins), turn)
 
 
-def bodies_of(view: View, found: Sequence[FileWheel], out: LeftOut) -> list[Body]:
+def bodies_of(view: FileFrames, found: Sequence[FileWheel], out: LeftOut) -> list[Body]:
     """Compute the chassis and the trailers, without the masses and inertias of their wheels."""
     named = view.roles
     rest, made = named.rest, []
@@ -249,7 +251,7 @@ def _mapping(what: str, given: Any) -> Mapping[str, Any]:
     return given
 
 
-def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> Wheel:
+def _wheel(view: FileFrames, w: FileWheel, roller: float, skids: bool, shaft: str) -> Wheel:
     k = view.roles.body(w.joint)
     same = ("radius", "inertia", "mass", "yaw_inertia", "trail", "behind", "damping")
     numbers: dict[str, Any] = {name: getattr(w, name) for name in same}
@@ -260,7 +262,7 @@ def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> 
     return Wheel(**numbers, kind=w.kind, body=k, shaft=shaft, skids=skids)
 
 
-def _gravity(view: View) -> tuple[float, np.ndarray]:
+def _gravity(view: FileFrames) -> tuple[float, np.ndarray]:
     """Compute the magnitude of gravity, and the slope of the ground that is level in the file."""
     g = view.turn.T @ view.roles.rest.gravity
     if g[2] > 0 or (g[2] == 0 and g.any()):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from rbjax.lanes import Lane, add, fusion_barrier, sub
 from rbjax.wheeled.kinematics.parameters import Parameters
 from rbjax.wheeled.kinematics.planar import Dual, Pair, direction, rotate, with_rate
-from rbjax.wheeled.kinematics.velocities import Shape, caster_rates, shape_along, twists_of
+from rbjax.wheeled.kinematics.velocities import Directions, caster_rates, shape_along, twists_of
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class RobotContext:
         return fusion_barrier([direction(a) for a in angles_of(self)])
 
     @functools.cached_property
-    def shape(self) -> Shape:
-        """The `Shape`: directions of trailers and wheels at the current angles."""
+    def shape(self) -> Directions:
+        """The `Directions`: directions of trailers and wheels at the current angles."""
         return shape_along(self.n, self.directions)
 
     def bodies(self) -> list[tuple[Pair, Pair]]:
@@ -57,16 +57,16 @@ class RobotContext:
             out.append(((x, y), e))
         return out
 
-    def shape_with_rate(self, w: Sequence[Lane]) -> Shape:
-        """Compute the `Shape` and its time derivative, as `Dual` lanes, at full velocities w."""
+    def shape_with_rate(self, w: Sequence[Lane]) -> Directions:
+        """Compute the `Directions` and their rates, as `Dual` lanes, at full velocities w."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n, [with_rate(e, rate) for e, rate in zip(self.directions, rates, strict=True)]
         )
 
-    def shape_with_two_rates(self, w: Sequence[Lane]) -> Shape:
-        """Compute the `Shape` with its first and second time derivative, at constant rates of the
-        angles."""
+    def shape_with_two_rates(self, w: Sequence[Lane]) -> Directions:
+        """Compute the `Directions` with first and second time derivatives, at constant rates of
+        the angles."""
         rates = angle_rates(self, w)
         return shape_along(
             self.n,
@@ -76,7 +76,7 @@ class RobotContext:
 
 
 def angles_of(context: RobotContext) -> list[Lane]:
-    """Return the angles of trailers, steerings and casters, on which the `Shape` depends."""
+    """Return the angles of trailers, steerings and casters, on which the `Directions` depends."""
     n = context.n
     return context.q[3 : n.layout.casters.stop]
 

@@ -34,7 +34,7 @@ from rbjax.wheeled.kinematics.planar import (
 from rbjax.wheeled.robot.arrangement import Leader
 
 
-class Shape(NamedTuple):
+class Directions(NamedTuple):
     """Directions that depend on the angles of trailers, steerings and casters."""
 
     trailers: tuple[Pair, ...]  # the direction of each trailer relative to the body ahead
@@ -42,13 +42,13 @@ class Shape(NamedTuple):
     leaders: tuple[tuple[Pair, Pair], ...]  # the position and direction of each leading wheel
 
 
-def shape_of(n: Parameters, angles: Sequence[Lane]) -> Shape:
-    """Compute the `Shape` from the angles of trailers, steerings and casters."""
+def shape_of(n: Parameters, angles: Sequence[Lane]) -> Directions:
+    """Compute the `Directions` from the angles of trailers, steerings and casters."""
     return shape_along(n, [direction(angle) for angle in angles])
 
 
-def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
-    """Compute the `Shape` from the directions of trailers, steerings and casters."""
+def shape_along(n: Parameters, directions: Sequence[Pair]) -> Directions:
+    """Compute the `Directions` from the directions of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(directions, start=3))
     trailers = tuple(of[i] for i in indices(layout.trailers))
@@ -71,7 +71,7 @@ def shape_along(n: Parameters, directions: Sequence[Pair]) -> Shape:
             ahead = neg(ahead[0]), neg(ahead[1])
         leaders.append((place_of(n, leader), ahead))
     of_wheels = tuple(wheels[i] for i in range(len(n.wheels)))
-    return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
+    return fusion_barrier(Directions(trailers, of_wheels, tuple(leaders)))
 
 
 def place_of(n: Parameters, leader: Leader) -> Pair:
@@ -114,7 +114,7 @@ def _steering_of(n: Parameters, wheel: int) -> int:
     return next(j for j, s in enumerate(n.robot.steerings) if wheel in s.wheels)
 
 
-def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
+def chassis_twist(n: Parameters, shape: Directions, free: Sequence[Lane]) -> Twist:
     """Compute the twist of the chassis from the free velocities.
 
     Without a leading wheel the free velocities are the twist. With one, they are the speed along
@@ -133,7 +133,7 @@ def chassis_twist(n: Parameters, shape: Shape, free: Sequence[Lane]) -> Twist:
     return g * free[0]
 
 
-def _about_one_center(n: Parameters, shape: Shape) -> Twist:
+def _about_one_center(n: Parameters, shape: Directions) -> Twist:
     """Compute the twist in which both leading wheels roll, with about unit speed at the second one.
     It is the cross product of their constraint rows, which is regular at any steering."""
     (p, e), (q, f) = shape.leaders
@@ -147,7 +147,7 @@ def _about_one_center(n: Parameters, shape: Shape) -> Twist:
     return Twist(x, y, cross(e, f)) * scale
 
 
-def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
+def free_velocities(n: Parameters, shape: Directions, V: Twist) -> list[Lane]:
     """Project a twist onto the free velocities, the inverse of `chassis_twist`."""
     if not shape.leaders:
         return list(V)
@@ -158,7 +158,7 @@ def free_velocities(n: Parameters, shape: Shape, V: Twist) -> list[Lane]:
     return [mul(total(mul(a, b) for a, b in zip(g, V, strict=True)), inverse(size))]
 
 
-def rolling_velocities(n: Parameters, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
+def rolling_velocities(n: Parameters, shape: Directions, free: Sequence[Lane]) -> list[Lane]:
     """Compute the full velocities w = S nu from the free velocities nu of rolling wheels."""
     V = chassis_twist(n, shape, free)
     twists, rates = [V], []
@@ -179,7 +179,7 @@ def _behind(n: Parameters, k: int, v: Pair, w: Lane) -> Twist:
     return Twist(v[0], sub(v[1], mul(w, n.bodies[k].drawbar)), w)
 
 
-def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
+def twists_of(n: Parameters, shape: Directions, w: Sequence[Lane]) -> list[Twist]:
     """Compute the twists of all bodies from the full velocities."""
     twists = [Twist(*w[:3])]
     for k in range(1, len(n.bodies)):
@@ -189,7 +189,7 @@ def twists_of(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
     return twists
 
 
-def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Pair:
+def contact_velocity(n: Parameters, shape: Directions, twists: Sequence[Twist], i: int) -> Pair:
     """Compute the velocity of a wheel's centre along its direction and to its left."""
     wheel = n.wheels[i]
     u = twists[wheel.body].at(wheel.position)
@@ -197,7 +197,7 @@ def contact_velocity(n: Parameters, shape: Shape, twists: Sequence[Twist], i: in
     return dot(e, u), dot(left(e), u)
 
 
-def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -> Lane:
+def rolling_rate(n: Parameters, shape: Directions, twists: Sequence[Twist], i: int) -> Lane:
     """Compute the rate of a wheel that rolls without slipping."""
     along, across = contact_velocity(n, shape, twists, i)
     if n.wheels[i].kind == "rollers":
@@ -205,7 +205,7 @@ def rolling_rate(n: Parameters, shape: Shape, twists: Sequence[Twist], i: int) -
     return mul(along, inverse(n.wheels[i].radius))
 
 
-def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[Lane]:
+def caster_rates(n: Parameters, shape: Directions, twists: Sequence[Twist]) -> list[Lane]:
     """Compute the rates of casters relative to their bodies."""
     out = []
     for i in n.layout.caster_wheels:
@@ -214,7 +214,7 @@ def caster_rates(n: Parameters, shape: Shape, twists: Sequence[Twist]) -> list[L
     return out
 
 
-class Motion(NamedTuple):
+class InertialMotion(NamedTuple):
     """The velocities of all inertias."""
 
     twists: list[Twist]  # of bodies and of caster forks, in their own axes
@@ -222,8 +222,8 @@ class Motion(NamedTuple):
 
 
 def inertial_motion(
-    n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
-) -> Motion:
+    n: Parameters, shape: Directions, w: Sequence[Lane], casters: Sequence[Lane] | None = None
+) -> InertialMotion:
     """Compute the velocities of all inertias from the full velocities.
 
     casters: the rates of casters, if they are independent; None to compute them.
@@ -240,7 +240,7 @@ def inertial_motion(
         forks.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
         if not is_zero(n.wheels[i].yaw_inertia):
             turns.append((n.wheels[i].yaw_inertia, forks[-1][2]))
-    return Motion([*twists, *forks], turns)
+    return InertialMotion([*twists, *forks], turns)
 
 
 def drive_speeds(n: Parameters, rates: Sequence[Lane]) -> list[Lane]:
@@ -251,7 +251,7 @@ def drive_speeds(n: Parameters, rates: Sequence[Lane]) -> list[Lane]:
     ]
 
 
-def constraint_rates(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
+def constraint_rates(n: Parameters, shape: Directions, w: Sequence[Lane]) -> list[Lane]:
     """Compute the constraint velocities A w, m/s, which are zero for rolling wheels. They are the
     lateral velocities of leading wheels and of trailers, and the slip of shafts."""
     twists = twists_of(n, shape, w)

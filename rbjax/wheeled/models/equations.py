@@ -28,17 +28,17 @@ from rbjax.wheeled.kinematics.planar import (
     rotate_back,
     value_of,
 )
-from rbjax.wheeled.kinematics.velocities import Motion, Shape, inertial_motion
+from rbjax.wheeled.kinematics.velocities import Directions, InertialMotion, inertial_motion
 
 #: (parameters, shape, nu) -> full velocities
-Velocities = Callable[[Parameters, Shape, Sequence[Lane]], list[Lane]]
+Velocities = Callable[[Parameters, Directions, Sequence[Lane]], list[Lane]]
 
 
 #: a coefficient c, N s/m or N m s/rad, and a row d; the generalized force is -c d d^T w
 Damper = tuple[Lane, Sequence[Lane]]
 
 
-class Equations(NamedTuple):
+class ProjectedEquations(NamedTuple):
     """Equations of motion M nu' = f in some velocities nu."""
 
     M: list[list[Lane]]  # the mass matrix, by row
@@ -97,7 +97,9 @@ def gravity_wrenches(context: RobotContext) -> list[Twist]:
     ]
 
 
-def columns_of(n: Parameters, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
+def columns_of(
+    n: Parameters, shape: Directions, velocities: Velocities, size: int
+) -> list[list[Lane]]:
     """Compute the columns of S in w = S nu. Column i is w if nu is the i-th unit vector."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
@@ -110,7 +112,7 @@ def projected_equations(
     nu: Sequence[Lane],
     torques: Sequence[Lane],
     forces: Sequence[Twist] | None = None,
-) -> Equations:
+) -> ProjectedEquations:
     """Project the equations of motion on velocities nu, with full velocities w = velocities(nu).
 
     torques: on each shaft, N m. forces: the wrench on each body and fork, in its own axes about its
@@ -147,19 +149,21 @@ def projected_equations(
         for part in parts
     ]
     M, f = fusion_barrier((M, f))
-    return Equations(M, f, columns)
+    return ProjectedEquations(M, f, columns)
 
 
 def motion_and_rate(
-    n: Parameters, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
-) -> tuple[Motion, Motion]:
+    n: Parameters, shape: Directions, velocities: Velocities, nu: Sequence[Lane]
+) -> tuple[InertialMotion, InertialMotion]:
     """Compute the velocities of all inertias at nu, and their rates at nu' = 0.
 
     shape: `Dual` lanes, the shape with its rate.
     """
     both = inertial_motion(n, shape, velocities(n, shape, nu))
     now, rate = (
-        Motion([Twist(*map(part, V)) for V in both.twists], [(i, part(x)) for i, x in both.turns])
+        InertialMotion(
+            [Twist(*map(part, V)) for V in both.twists], [(i, part(x)) for i, x in both.turns]
+        )
         for part in (value_of, rate_of)
     )
     return now, rate
@@ -188,7 +192,7 @@ def _steering_torques(context: RobotContext, w: Sequence[Lane]) -> list[tuple[in
 
 
 def kinetic_energy(
-    n: Parameters, shape: Shape, w: Sequence[Lane], casters: Sequence[Lane] | None = None
+    n: Parameters, shape: Directions, w: Sequence[Lane], casters: Sequence[Lane] | None = None
 ) -> Lane:
     """Compute the kinetic energy of bodies, wheels and motors.
 

@@ -40,7 +40,7 @@ from rbjax.wheeled.models.equations import (
 )
 from rbjax.wheeled.models.forces import shaft_torques
 from rbjax.wheeled.models.robot_model import check_robot_model, check_state_and_controls
-from rbjax.wheeled.models.rolling import Rolling, identity
+from rbjax.wheeled.models.rolling import RollingModel, identity
 
 
 @displayed
@@ -88,7 +88,7 @@ class Undetermined(NamedTuple):
     multipliers: jax.Array
 
 
-def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
+def reduced(model: RollingModel, state: State, ctrl: Any = None) -> Reduced:
     """Compute the terms of the reduced equations of motion.
 
     Args:
@@ -114,7 +114,7 @@ def reduced(model: Rolling, state: State, ctrl: Any = None) -> Reduced:
     return _reduced(model, *_checked("reduced", model, state, ctrl))
 
 
-def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined:
+def undetermined(model: RollingModel, state: State, ctrl: Any = None) -> Undetermined:
     """Compute the terms of the equations of motion with Lagrange multipliers, and the multipliers.
 
         M w' + C w = B tau + f + A^T l,      A w = 0
@@ -146,12 +146,12 @@ def undetermined(model: Rolling, state: State, ctrl: Any = None) -> Undetermined
 def _checked(where: str, model: Any, state: Any, ctrl: Any) -> tuple[State, jax.Array]:
     check_robot_model(where, model)
     public = 'a robot that rolls and has inertia, as rbjax.wheeled.at(robot, "reduced")'
-    instance(where, "model", model, Rolling, public)
+    instance(where, "model", model, RollingModel, public)
     return check_state_and_controls(where, model, state, ctrl)
 
 
 @compiled
-def _reduced(model: Rolling, state: State, u: jax.Array) -> Reduced:
+def _reduced(model: RollingModel, state: State, u: jax.Array) -> Reduced:
     context = model.context(state, u)
     w = model.full_velocities(context)
     S = _matrix(columns_of(context.n, context.shape, rolling_velocities, model.nv), context.n)
@@ -159,7 +159,7 @@ def _reduced(model: Rolling, state: State, u: jax.Array) -> Reduced:
 
 
 @compiled
-def _undetermined(model: Rolling, state: State, u: jax.Array) -> Undetermined:
+def _undetermined(model: RollingModel, state: State, u: jax.Array) -> Undetermined:
     context = model.context(state, u)
     n, w = context.n, model.full_velocities(context)
     M, C, B, f, tau = _terms(context, w, identity, w)

@@ -21,7 +21,7 @@ from rbjax.wheeled.kinematics.context import RobotContext, angle_rates, angles_o
 from rbjax.wheeled.kinematics.parameters import Parameters, stack_lanes
 from rbjax.wheeled.kinematics.planar import Twist, cross, duals, rate_of, value_of
 from rbjax.wheeled.kinematics.velocities import (
-    Shape,
+    Directions,
     caster_rates,
     chassis_twist,
     constraint_rates,
@@ -32,7 +32,7 @@ from rbjax.wheeled.kinematics.velocities import (
     twists_of,
 )
 from rbjax.wheeled.models.equations import (
-    Equations,
+    ProjectedEquations,
     columns_of,
     kinetic_energy,
     potential_energy,
@@ -76,7 +76,7 @@ class Kinematic(RobotModel):
         return []
 
 
-class Rolling(RobotModel):
+class RollingModel(RobotModel):
     """Base class of robots with inertia whose wheels roll. v = nu, the free velocities."""
 
     @property
@@ -102,7 +102,7 @@ class Rolling(RobotModel):
         return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
 
-class ReducedModel(Rolling):
+class ReducedModel(RollingModel):
     """Equations of motion projected on the free velocities.
 
         (S^T M S) nu' = S^T (f - M S' nu),   w = S nu
@@ -125,13 +125,13 @@ class ReducedModel(Rolling):
         w = self.full_velocities(context)
         return self._equations(context, w).damped(motor_dampers(context, w), h)
 
-    def _equations(self, context: RobotContext, w: list[Lane]) -> Equations:
+    def _equations(self, context: RobotContext, w: list[Lane]) -> ProjectedEquations:
         return projected_equations(
             context, w, rolling_velocities, context.v, shaft_torques(context, w)
         )
 
 
-class Dynamical(Rolling):
+class Dynamical(RollingModel):
     """Equations of motion with the multipliers eliminated (the dynamical approach).
 
         M w' = f + A^T l,   A w' = -A' w,   l = -(A M^-1 A^T)^-1 (A M^-1 f + A' w)
@@ -176,7 +176,7 @@ class Dynamical(Rolling):
         return free_velocities(n, shape, V)
 
 
-class QuasiVelocities(Rolling):
+class QuasiVelocities(RollingModel):
     """The Boltzmann-Hamel equations, derived from energies. It is the slowest, for comparison only.
 
     The quasi-velocities w are the chassis' twist (vx, vy, w), and the rates of trailers, shafts and
@@ -275,6 +275,6 @@ def _kinetic_energy(
     return energy
 
 
-def identity(n: Parameters, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
+def identity(n: Parameters, shape: Directions, w: Sequence[Lane]) -> list[Lane]:
     """Return w unchanged: the map from full velocities to themselves."""
     return list(w)

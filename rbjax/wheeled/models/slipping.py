@@ -28,7 +28,7 @@ from rbjax.wheeled.kinematics.planar import Pair, Twist, cross, rotate
 from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 from rbjax.wheeled.models.equations import (
     Damper,
-    Equations,
+    ProjectedEquations,
     columns_of,
     gravity_wrenches,
     projected_equations,
@@ -150,7 +150,7 @@ class Slipping(RobotModel):
         dampers = self._contact_dampers(context, loads, h) + motor_dampers(context, context.v)
         return equations.damped(dampers, h)
 
-    def _equations(self, context: RobotContext) -> tuple[Equations, list[Lane]]:
+    def _equations(self, context: RobotContext) -> tuple[ProjectedEquations, list[Lane]]:
         """Compute the equations of motion, and the loads of wheels."""
         n = context.n
         loads, forces = self.wheel_forces(context)

@@ -36,7 +36,7 @@ from rbjax.model import WORLD, Model
 from rbjax.wheeled.kinematics.parameters import Parameters, parameters_of
 from rbjax.wheeled.kinematics.planar import direction, inverse
 from rbjax.wheeled.kinematics.velocities import place_of
-from rbjax.wheeled.multibody.tree import LEFT, STRAIGHT, Tree
+from rbjax.wheeled.multibody.tree import LEFT, STRAIGHT, BodyTree
 from rbjax.wheeled.multibody.wheel_rows import Differential, Linkage, SteeringRate, WheelContact
 from rbjax.wheeled.robot.arrangement import Leader
 from rbjax.wheeled.robot.robot import Robot
@@ -82,7 +82,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
 def model_of(n: Parameters, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
     """Make the full model from lanes, which keeps structural zeros."""
     choice("base", base, BASES)
-    tree = Tree(n.dtype)
+    tree = BodyTree(n.dtype)
     chassis = _branch(n, tree, base)
     for j in range(len(n.robot.drives)):
         inertia = _rotor(n, j)
@@ -104,7 +104,7 @@ def knuckle_joint(n: Parameters, i: int) -> tuple[str, int]:
     return (f"knuckle_{i}" if len(n.robot.steerings[j].wheels) > 1 else f"steering_{j}"), j
 
 
-def _branch(n: Parameters, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
+def _branch(n: Parameters, tree: BodyTree, base: str, k: int = 0, parent: int = WORLD) -> int:
     """Add a body, its wheels, and the trailers behind it, in depth-first order as in MuJoCo."""
     out = _body(n, tree, base, k, parent)
     for j, steering in enumerate(n.robot.steerings if k == 0 else ()):
@@ -134,7 +134,7 @@ def _own_height(n: Parameters, k: int) -> Lane:
     return mul(sub(mul(whole.mass, whole.height), of_wheels), inverse(own))
 
 
-def _body(n: Parameters, tree: Tree, base: str, k: int, parent: int) -> int:
+def _body(n: Parameters, tree: BodyTree, base: str, k: int, parent: int) -> int:
     """Add the chassis, or a trailer."""
     body, numbers = n.robot.bodies[k], n.bodies[k]
     at: Sequence[Lane] = (0.0, 0.0, 0.0)
@@ -155,7 +155,7 @@ def _body(n: Parameters, tree: Tree, base: str, k: int, parent: int) -> int:
     return out
 
 
-def _wheel(n: Parameters, tree: Tree, body: int, i: int) -> None:
+def _wheel(n: Parameters, tree: BodyTree, body: int, i: int) -> None:
     """Add a wheel, with its knuckle or fork."""
     given, wheel = n.robot.wheels[i], n.wheels[i]
     mass, yaw, spin = n.lane(given.mass), wheel.yaw_inertia, wheel.inertia

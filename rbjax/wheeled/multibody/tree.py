@@ -48,7 +48,7 @@ class TreeJoint(NamedTuple):
 
 
 @dataclass
-class Tree:
+class BodyTree:
     """Bodies and joints of a model, parents first. The joints of a body follow it."""
 
     dtype: Any

@@ -24,7 +24,7 @@ from rbjax.constraints import Constraint, Place, Row, along, coordinate
 from rbjax.constraints.rows.geometry import Y, Z
 from rbjax.constraints.rows.rolling import slip, swept
 from rbjax.errors import UnknownName
-from rbjax.forces.context import Context, Frame
+from rbjax.forces.context import Context, FrameState
 from rbjax.forces.place import as_place, check_places
 from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
@@ -96,7 +96,7 @@ class WheelContact(Constraint):
         return [along(A, Z, B) - radius, *rows] if self.touches else rows
 
 
-def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
+def _ways(A: FrameState, B: FrameState) -> dict[str, Swept]:
     """Compute the directions ahead and to the left of wheel B on the ground A, with their rates."""
     (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
     ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)

@@ -228,15 +228,15 @@ def with_trailers(
 
 
 @dataclass(frozen=True)
-class Kind:
+class RobotKind:
     """A named robot type. `make(**numbers)` builds a robot of it."""
 
     name: str
     make: Callable[..., Robot]
 
 
-def kinds() -> dict[str, Kind]:
-    """Return all robot types: name -> `Kind`.
+def kinds() -> dict[str, RobotKind]:
+    """Return all robot types: name -> `RobotKind`.
 
     Example:
         >>> import rbjax as rb
@@ -259,7 +259,7 @@ def kinds() -> dict[str, Kind]:
         "car_trailer": _pulling(car, 1, 0.8, drawbar=3.0, track=1.4, mass=400.0, inertia=300.0,
                                 radius=0.3, wheel_mass=15.0),
     }  # fmt: skip
-    return {name: Kind(name, _named(name, make)) for name, make in makers.items()}
+    return {name: RobotKind(name, _named(name, make)) for name, make in makers.items()}
 
 
 def _pulling(

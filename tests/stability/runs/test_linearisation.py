@@ -171,7 +171,7 @@ def test_what_has_no_equilibrium_says_so() -> None:
         (state, {"near": 0.0}, "near 0.0 s and 2000 steps"),
         (state, {"near": -1.0}, "expected a positive time"),
         (state, {"steps": 0}, "0 steps, expected .* at least 10"),
-        (np.zeros(1), {}, "state is ndarray"),
+        (np.zeros(1), {}, "state is array"),
     ):
         with pytest.raises(rb.InputError, match=words):
             stability.measured_stable_step("rk4", model, start, **{"near": 0.3, **options})

@@ -26,7 +26,7 @@ class Duals(NamedTuple):
     zu: jax.Array
 
 
-class Bounded(NamedTuple):
+class BoundedVariable(NamedTuple):
     """A variable v with its bounds."""
 
     v: jax.Array
@@ -53,12 +53,12 @@ def push_inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(high), jnp.minimum(v, high - at_high), v)
 
 
-def bound_count(x: Bounded) -> jax.Array:
+def bound_count(x: BoundedVariable) -> jax.Array:
     """Return the number of finite bounds."""
     return jnp.isfinite(x.low).sum() + jnp.isfinite(x.high).sum()
 
 
-def value(x: Bounded, mu: jax.Array) -> jax.Array:
+def value(x: BoundedVariable, mu: jax.Array) -> jax.Array:
     """Return the logarithmic barrier () of the bounds; infinite outside of them."""
 
     def log(d: jax.Array) -> jax.Array:
@@ -68,31 +68,31 @@ def value(x: Bounded, mu: jax.Array) -> jax.Array:
     return -mu * (log(x.below) + log(x.above))
 
 
-def gradient(x: Bounded, mu: jax.Array) -> jax.Array:
+def gradient(x: BoundedVariable, mu: jax.Array) -> jax.Array:
     """Return the gradient of the logarithmic barrier with respect to v."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return jnp.where(high, mu / x.above, 0.0) - jnp.where(low, mu / x.below, 0.0)
 
 
-def hessian(x: Bounded, z: Duals) -> jax.Array:
+def hessian(x: BoundedVariable, z: Duals) -> jax.Array:
     """Return Sigma, the diagonal that the barrier adds to the Hessian."""
     return z.zl / x.below + z.zu / x.above
 
 
-def first_duals(x: Bounded, mu: jax.Array) -> Duals:
+def first_duals(x: BoundedVariable, mu: jax.Array) -> Duals:
     """Return the first multipliers of the bounds: mu over the distances to them."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     return Duals(jnp.where(low, mu / x.below, 0.0), jnp.where(high, mu / x.above, 0.0))
 
 
-def step_to_boundary(x: Bounded, dv: jax.Array, tau: jax.Array) -> jax.Array:
+def step_to_boundary(x: BoundedVariable, dv: jax.Array, tau: jax.Array) -> jax.Array:
     """Return the longest fraction () of a step, at most 1, that leaves 1 - tau of each distance."""
     down = jnp.where(jnp.isfinite(x.low) & (dv < 0), tau * x.below / jnp.where(dv < 0, -dv, 1.0), 1)
     up = jnp.where(jnp.isfinite(x.high) & (dv > 0), tau * x.above / jnp.where(dv > 0, dv, 1.0), 1)
     return jnp.minimum(1.0, jnp.minimum(down.min(initial=1.0), up.min(initial=1.0)))
 
 
-def dual_step(x: Bounded, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
+def dual_step(x: BoundedVariable, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
     """Return the Newton step of the multipliers, for a step dv of v."""
     low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
     zl = jnp.where(low, mu / x.below - z.zl - z.zl / x.below * dv, 0.0)
@@ -109,7 +109,7 @@ def dual_step_to_boundary(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
     return jnp.minimum(1.0, jnp.minimum(*shares))
 
 
-def moved_duals(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
+def moved_duals(x: BoundedVariable, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
     """Return the multipliers z + a dz, clipped to a range about mu / (distance of v to its bound).
 
     x: the variable after the step of length a.

@@ -23,9 +23,9 @@ import jax.numpy as jnp
 
 from rbjax.control.optimal.collocation import barrier
 from rbjax.control.optimal.collocation.condensing import (
+    BarrierWeights,
     Condensed,
     End,
-    Weights,
     at_end,
     combine,
     evaluate_stages,
@@ -34,18 +34,18 @@ from rbjax.control.optimal.collocation.condensing import (
     tableau_arrays,
 )
 from rbjax.control.optimal.collocation.transcribed import (
+    CollocationMultipliers,
+    CollocationPoint,
     Measured,
-    Multipliers,
-    Point,
     Transcribed,
     constraint_values,
 )
 from rbjax.control.optimal.objective import constraint_violations, row_bounds
 from rbjax.control.optimal.problem import BODY, Knot, Problem, take
 from rbjax.control.optimal.shooting import filter_search
-from rbjax.control.optimal.shooting.filter_search import Filter, Pair
+from rbjax.control.optimal.shooting.filter_search import CostFilter, FilterPair
 from rbjax.control.optimal.shooting.search import MAX_STALLED, count_stalled
-from rbjax.control.optimal.solution import Options, SearchResult, StageValues
+from rbjax.control.optimal.solution import SearchResult, SolveOptions, StageValues
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.lanes.arrays import select
 from rbjax.solvers.tableau import Tableau
@@ -61,16 +61,16 @@ GAP = 0.57  # largest gap of a solution: eps^0.57, 1e-9 in f64
 SOFT = 0.5  # equations hold to eps^0.5 times the change of their multipliers
 
 
-class Iterate(NamedTuple):
+class CollocationIterate(NamedTuple):
     """The state of the interior point method between two iterations."""
 
-    point: Point
-    multipliers: Multipliers
+    point: CollocationPoint
+    multipliers: CollocationMultipliers
     measured: Measured
     mu: jax.Array
     reg: jax.Array  # the last one that was needed
     floor: jax.Array  # the least to try next
-    filter: Filter
+    filter: CostFilter
     expected_decrease: jax.Array
     iterations: jax.Array
     status: jax.Array
@@ -84,8 +84,8 @@ class Iterate(NamedTuple):
 
 
 def solve_collocation(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
-    table: Tableau,
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
+    history: int, table: Tableau,
 ) -> SearchResult:  # fmt: skip
     """Solve a problem by direct collocation."""
     t = Transcribed(problem, start, table)
@@ -93,7 +93,9 @@ def solve_collocation(
     return search_result(t, last)
 
 
-def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterate:
+def initial_iterate(
+    t: Transcribed, knots: Knot, ctrls: jax.Array, history: int
+) -> CollocationIterate:
     """Return the first iterate, in the interior of all bounds."""
     problem, dtype = t.problem, ctrls.dtype
     N, n = problem.horizon, problem.n
@@ -101,7 +103,9 @@ def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int)
     low, high = problem.parameter_bounds(dtype)
     knots = Knot(knots.state, barrier.push_inside(knots.parameters, low, high))
     inner = straight_guess(problem, t.table, knots, ctrls)
-    us = t.us(Point(knots, inner, inner.us, inner.us))  # the slacks of this point are not read
+    us = t.us(
+        CollocationPoint(knots, inner, inner.us, inner.us)
+    )  # the slacks of this point are not read
     inner = inner._replace(us=barrier.push_inside(us.v, us.low, us.high))
     body = take(knots, BODY)
     ks = jnp.arange(N, dtype=dtype)
@@ -111,14 +115,14 @@ def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int)
     for where, values in (("path", rows), ("end", end)):
         low, high = row_bounds(problem, where, dtype)
         slacks.append(jnp.where(low == high, low, barrier.push_inside(values, low, high)))
-    point = Point(knots, inner, *slacks)
+    point = CollocationPoint(knots, inner, *slacks)
     bounds = sum(barrier.bound_count(x) for x in t.bounded(point)) + rows.size + end.size
     mu = jnp.where(bounds > 0, mu, 0.0)
     multipliers = t.first_multipliers(point, mu)
     measured = t.measure(point, multipliers)
     total = measured.cost + measured.theta + measured.square
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
-    return Iterate(
+    return CollocationIterate(
         point, multipliers, measured, mu, number(0), number(0),
         filter_search.empty_filter(measured.theta), number(jnp.inf), jnp.asarray(0),
         jnp.where(jnp.isfinite(total), GOING, NOT_FINITE), jnp.full(history, jnp.nan, dtype),
@@ -127,7 +131,7 @@ def initial_iterate(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int)
     )  # fmt: skip
 
 
-def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
+def iterate(t: Transcribed, begin: CollocationIterate, options: SolveOptions) -> CollocationIterate:
     """Iterate the interior point method until the stopping rule holds."""
     dtype = begin.mu.dtype
     eps = jnp.finfo(dtype).eps
@@ -141,7 +145,7 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     _, b, _ = tableau_arrays(t.table, dtype)
     history = begin.costs.shape[0]
 
-    def direction(path: Condensed, end: End, gaps: jax.Array, now: Iterate) -> tuple:
+    def direction(path: Condensed, end: End, gaps: jax.Array, now: CollocationIterate) -> tuple:
         """Compute the Riccati gains of a Newton step, and the smallest regularisation that makes it
         exist."""
 
@@ -155,9 +159,9 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
 
         return jax.lax.while_loop(fails, harder, (t.gains(path, end, gaps, now.floor), now.floor))
 
-    def turn(now: Iterate) -> Iterate:
+    def turn(now: CollocationIterate) -> CollocationIterate:
         l, mu = now.multipliers, now.mu
-        w = Weights(mu, jnp.maximum(STIFF * mu, soft))
+        w = BarrierWeights(mu, jnp.maximum(STIFF * mu, soft))
         before = t.measure(now.point, l)
         path, end, gaps = t.expand(now.point, l, w)
         gains, reg = direction(path, end, gaps, now)
@@ -165,8 +169,8 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         decrease = jnp.abs(gains.slope + 0.5 * gains.curvature)
         along, back = t.reach(now.point, l, step, by, jnp.maximum(0.99, 1 - mu))
 
-        def phi(m: Measured) -> Pair:
-            return Pair(m.theta, m.cost + mu * m.barrier + m.pull + m.square / w.soft)
+        def phi(m: Measured) -> FilterPair:
+            return FilterPair(m.theta, m.cost + mu * m.barrier + m.pull + m.square / w.soft)
 
         def total(a: jax.Array) -> jax.Array:
             return phi(t.measure(t.step_along(now.point, step, a), l)).phi
@@ -230,7 +234,7 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         status = jnp.where(done, CONVERGED, status)
         N, s, nu = point.inner.us.shape
         K = (b[:, None, None] * gains.K.reshape(N, s, nu, -1)).sum(1)
-        return Iterate(
+        return CollocationIterate(
             point, l, m, less, jnp.where(reg > 0, reg, now.reg), floor.astype(dtype), kept,
             decrease, iterations, status,
             now.costs.at[jnp.minimum(now.iterations, history - 1)].set(m.cost), K,
@@ -240,7 +244,7 @@ def iterate(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     return jax.lax.while_loop(lambda now: now.status == GOING, turn, begin)
 
 
-def search_result(t: Transcribed, last: Iterate) -> SearchResult:
+def search_result(t: Transcribed, last: CollocationIterate) -> SearchResult:
     """Convert the last iterate to a `SearchResult`."""
     point, l = last.point, last.multipliers
     _, b, c = tableau_arrays(t.table, point.inner.us.dtype)

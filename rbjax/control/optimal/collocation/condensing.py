@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.optimal.collocation import barrier
-from rbjax.control.optimal.collocation.barrier import Bounded, Duals
+from rbjax.control.optimal.collocation.barrier import BoundedVariable, Duals
 from rbjax.control.optimal.objective import knot_cost
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem, take
 from rbjax.control.optimal.shooting.expansion import Quadratic
@@ -42,7 +42,7 @@ class Inner(NamedTuple):
     rates: jax.Array
 
 
-class Stages(NamedTuple):
+class StepStages(NamedTuple):
     """The values of a step.
 
     miss: rates minus f, (s, n).
@@ -88,7 +88,9 @@ def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -
     return Knot(system.plus(knot.state, dt * combine(b, rates)), knot.parameters)
 
 
-def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
+def evaluate_stages(
+    problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner
+) -> StepStages:
     """Evaluate rates, costs and constraint rows at the stages of step k."""
     a, b, c = tableau_arrays(table, inner.rates.dtype)
     _, dt = problem.at(knot.parameters)
@@ -97,7 +99,7 @@ def evaluate_stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner:
         k + c, xi, inner.us
     )
     after = after_step(problem, table, knot, inner.rates)
-    return Stages(inner.rates - rates, after, (b * costs).sum(), rows)
+    return StepStages(inner.rates - rates, after, (b * costs).sum(), rows)
 
 
 def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
@@ -126,7 +128,7 @@ def straight_guess(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Arr
     return jax.vmap(one)(body, following, ctrls)
 
 
-class Rows(NamedTuple):
+class ConstraintRows(NamedTuple):
     """Constraint rows with their slacks and multipliers.
 
     slack: slacks of inequalities.
@@ -149,10 +151,10 @@ class Rows(NamedTuple):
         return self.low == self.high
 
     @property
-    def bounded(self) -> Bounded:
+    def bounded(self) -> BoundedVariable:
         """The slacks with their bounds. The slacks of equations have no bounds."""
         low = jnp.where(self.equal, -jnp.inf, self.low)
-        return Bounded(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
+        return BoundedVariable(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
 
     @property
     def multipliers(self) -> jax.Array:
@@ -164,7 +166,7 @@ class Rows(NamedTuple):
         return values - jnp.where(self.equal, self.low, self.slack)
 
 
-class Weights(NamedTuple):
+class BarrierWeights(NamedTuple):
     """The weights of the barrier and of the constraints, each ().
 
     mu: the barrier parameter. soft: the inverse penalty of the constraints.
@@ -199,7 +201,9 @@ class End(NamedTuple):
     rows: jax.Array
 
 
-def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array]:
+def row_terms(
+    values: jax.Array, rows: ConstraintRows, w: BarrierWeights
+) -> tuple[jax.Array, jax.Array]:
     """Return y and weight: the multipliers of the rows after a Newton step are y + weight * dc. dc
     is the change of the row values by the step."""
     wall, stiff, share = _springs(rows, w)
@@ -210,7 +214,7 @@ def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax
 
 
 def row_step(
-    values: jax.Array, d: jax.Array, rows: Rows, w: Weights
+    values: jax.Array, d: jax.Array, rows: ConstraintRows, w: BarrierWeights
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the Newton steps of the slacks and of the multipliers of equations. d is the change
     of the row values by the step."""
@@ -221,15 +225,15 @@ def row_step(
     return jnp.where(rows.equal, 0.0, ds), jnp.where(rows.equal, dy, 0.0)
 
 
-def _springs(rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _springs(rows: ConstraintRows, w: BarrierWeights) -> tuple[jax.Array, jax.Array, jax.Array]:
     x = rows.bounded
     stiff = barrier.hessian(x, rows.duals)
     return barrier.gradient(x, w.mu), stiff, 1 / (1 + stiff * w.soft)
 
 
 def condense(
-    problem: Problem, table: Tableau, w: Weights, k: Any, knot: Knot, inner: Inner,
-    following: Knot, costate: jax.Array, us: Bounded, us_duals: Duals, rows: Rows,
+    problem: Problem, table: Tableau, w: BarrierWeights, k: Any, knot: Knot, inner: Inner,
+    following: Knot, costate: jax.Array, us: BoundedVariable, us_duals: Duals, rows: ConstraintRows,
 ) -> Condensed:  # fmt: skip
     """Linearise step k and eliminate its stages. costate (n,): of the next knot."""
     (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
@@ -316,7 +320,7 @@ def condense(
     )  # fmt: skip
 
 
-def condense_end(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
+def condense_end(problem: Problem, w: BarrierWeights, knot: Knot, rows: ConstraintRows) -> End:
     """Expand the terminal cost and constraint rows to second order."""
     n, m, dtype = problem.n, problem.nu, problem.dt.dtype
 

@@ -18,13 +18,13 @@ import jax.numpy as jnp
 from rbjax.compiler import threads
 from rbjax.control.linear.riccati import roll_linear
 from rbjax.control.optimal.collocation import barrier
-from rbjax.control.optimal.collocation.barrier import Bounded, Duals
+from rbjax.control.optimal.collocation.barrier import BoundedVariable, Duals
 from rbjax.control.optimal.collocation.condensing import (
+    BarrierWeights,
     Condensed,
+    ConstraintRows,
     End,
     Inner,
-    Rows,
-    Weights,
     at_end,
     condense,
     condense_end,
@@ -38,7 +38,7 @@ from rbjax.lanes.arrays import matvec
 from rbjax.solvers.tableau import Tableau
 
 
-class Point(NamedTuple):
+class CollocationPoint(NamedTuple):
     """The unknowns: knots, values at the stages, slacks of the inequalities along the path
     (N, s, c) and at the end (e,)."""
 
@@ -48,7 +48,7 @@ class Point(NamedTuple):
     end: jax.Array
 
 
-class Multipliers(NamedTuple):
+class CollocationMultipliers(NamedTuple):
     """Multipliers of a transcribed problem.
 
     costates: (N + 1, n).
@@ -63,8 +63,8 @@ class Multipliers(NamedTuple):
     centre: tuple[jax.Array, jax.Array]
 
 
-class Step(NamedTuple):
-    """A Newton step of the unknowns of `Point`."""
+class CollocationStep(NamedTuple):
+    """A Newton step of the unknowns of `CollocationPoint`."""
 
     dx: jax.Array
     us: jax.Array
@@ -101,42 +101,48 @@ class Transcribed(NamedTuple):
 
     # the bounds
 
-    def us(self, point: Point) -> Bounded:
+    def us(self, point: CollocationPoint) -> BoundedVariable:
         """Return the controls of all stages, with bounds."""
         us, problem = point.inner.us, self.problem
         low, high = (
             jnp.broadcast_to(x.astype(us.dtype), us.shape) for x in (problem.low, problem.high)
         )
-        return Bounded(us, low, high)
+        return BoundedVariable(us, low, high)
 
-    def parameters(self, point: Point) -> Bounded:
+    def parameters(self, point: CollocationPoint) -> BoundedVariable:
         """Return the parameters, which are constant along the motion, with bounds."""
         parameters = point.knots.parameters[0]
-        return Bounded(parameters, *self.problem.parameter_bounds(parameters.dtype))
+        return BoundedVariable(parameters, *self.problem.parameter_bounds(parameters.dtype))
 
-    def rows(self, point: Point, l: Multipliers) -> tuple[Rows, Rows]:
+    def rows(
+        self, point: CollocationPoint, l: CollocationMultipliers
+    ) -> tuple[ConstraintRows, ConstraintRows]:
         """Return the constraint rows of path and end."""
         out = []
         for i, where in enumerate(("path", "end")):
             slack = (point.path, point.end)[i]
             bounds = row_bounds(self.problem, where, slack.dtype)
             low, high = (jnp.broadcast_to(x, slack.shape) for x in bounds)
-            out.append(Rows(slack, l.duals[2 + i], l.y[i], l.centre[i], low, high))
+            out.append(ConstraintRows(slack, l.duals[2 + i], l.y[i], l.centre[i], low, high))
         return out[0], out[1]
 
-    def bounded(self, point: Point) -> tuple[Bounded, Bounded, Bounded, Bounded]:
+    def bounded(
+        self, point: CollocationPoint
+    ) -> tuple[BoundedVariable, BoundedVariable, BoundedVariable, BoundedVariable]:
         """Return all bounded unknowns: controls, parameters, slacks of path and end."""
         path, end = self.rows(point, self.zero_multipliers(point))
         return self.us(point), self.parameters(point), path.bounded, end.bounded
 
-    def zero_multipliers(self, point: Point) -> Multipliers:
+    def zero_multipliers(self, point: CollocationPoint) -> CollocationMultipliers:
         """Return multipliers that are all zero."""
         costates = jnp.zeros((self.problem.horizon + 1, self.problem.n), point.path.dtype)
         bounded = point.inner.us, point.knots.parameters[0], point.path, point.end
         zeros = jax.tree.map(jnp.zeros_like, bounded)
-        return Multipliers(costates, tuple(Duals(x, x) for x in zeros), zeros[2:], zeros[2:])
+        return CollocationMultipliers(
+            costates, tuple(Duals(x, x) for x in zeros), zeros[2:], zeros[2:]
+        )
 
-    def first_multipliers(self, point: Point, mu: jax.Array) -> Multipliers:
+    def first_multipliers(self, point: CollocationPoint, mu: jax.Array) -> CollocationMultipliers:
         """Return first multipliers: mu over the distances to the bounds; 0 for equations."""
         duals = tuple(barrier.first_duals(x, mu) for x in self.bounded(point))
         return self.zero_multipliers(point)._replace(duals=duals)
@@ -147,7 +153,7 @@ class Transcribed(NamedTuple):
         """Return the gap start (-) first knot (n,), which is 0 for free coordinates."""
         return self.problem.off_start(self.start, take(knots, 0))
 
-    def measure(self, point: Point, l: Multipliers) -> Measured:
+    def measure(self, point: CollocationPoint, l: CollocationMultipliers) -> Measured:
         """Evaluate cost, barrier and infeasibility."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
@@ -173,15 +179,19 @@ class Transcribed(NamedTuple):
             jnp.abs(gaps).sum(), jnp.abs(gaps).max(), jnp.abs(off).max(initial=0.0),
         )  # fmt: skip
 
-    def step_along(self, point: Point, step: Step, a: jax.Array) -> Point:
+    def step_along(
+        self, point: CollocationPoint, step: CollocationStep, a: jax.Array
+    ) -> CollocationPoint:
         """Return point (+) a step."""
         knots = jax.vmap(self.problem.plus)(point.knots, a * step.dx)
         inner = Inner(point.inner.us + a * step.us, point.inner.rates + a * step.rates)
-        return Point(knots, inner, point.path + a * step.path, point.end + a * step.end)
+        return CollocationPoint(knots, inner, point.path + a * step.path, point.end + a * step.end)
 
     # an iteration
 
-    def expand(self, point: Point, l: Multipliers, w: Weights) -> tuple[Condensed, End, jax.Array]:
+    def expand(
+        self, point: CollocationPoint, l: CollocationMultipliers, w: BarrierWeights
+    ) -> tuple[Condensed, End, jax.Array]:
         """Expand all steps and the end to second order; return them and the gaps (N + 1, n)."""
         problem, knots, dtype = self.problem, point.knots, point.inner.us.dtype
         body, following = take(knots, BODY), take(knots, NEXT)
@@ -213,9 +223,9 @@ class Transcribed(NamedTuple):
         return threads(backward_pass)(path.A, path.B, gaps, path.cost, end.cost, None, first, reg)
 
     def step(
-        self, point: Point, l: Multipliers, w: Weights, path: Condensed, end: End,
-        gaps: jax.Array, gains: Feedback,
-    ) -> tuple[Step, Multipliers]:  # fmt: skip
+        self, point: CollocationPoint, l: CollocationMultipliers, w: BarrierWeights,
+        path: Condensed, end: End, gaps: jax.Array, gains: Feedback,
+    ) -> tuple[CollocationStep, CollocationMultipliers]:  # fmt: skip
         """Return the Newton step of the unknowns, and of the multipliers."""
         dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
         e = jnp.concatenate([dx[:-1], du], 1)
@@ -225,20 +235,25 @@ class Transcribed(NamedTuple):
         rows, closing = self.rows(point, l)
         d_slack, dy = row_step(path.rows, d_path, rows, w)
         d_closing, dy_end = row_step(end.rows, matvec(end.C, dx[-1]), closing, w)
-        step = Step(dx, du.reshape(point.inner.us.shape), rates, d_slack, d_closing)
+        step = CollocationStep(dx, du.reshape(point.inner.us.shape), rates, d_slack, d_closing)
         duals = tuple(
             barrier.dual_step(x, dv, z, w.mu)
             for x, dv, z in zip(self.bounded(point), self.moves(step), l.duals, strict=True)
         )
         none = jnp.zeros_like(dy), jnp.zeros_like(dy_end)
-        return step, Multipliers(costates - l.costates, duals, (dy, dy_end), none)
+        return step, CollocationMultipliers(costates - l.costates, duals, (dy, dy_end), none)
 
-    def moves(self, step: Step) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def moves(self, step: CollocationStep) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return the steps of bounded unknowns: controls, parameters, slacks of path and end."""
         return step.us, step.dx[0, self.problem.system.n :], step.path, step.end
 
     def reach(
-        self, point: Point, l: Multipliers, step: Step, by: Multipliers, tau: jax.Array
+        self,
+        point: CollocationPoint,
+        l: CollocationMultipliers,
+        step: CollocationStep,
+        by: CollocationMultipliers,
+        tau: jax.Array,
     ) -> tuple[jax.Array, jax.Array]:
         """Return the longest feasible fractions of a primal step and of a multiplier step."""
         along = back = jnp.ones((), tau.dtype)
@@ -249,9 +264,9 @@ class Transcribed(NamedTuple):
         return along, back
 
     def step_multipliers(
-        self, point: Point, l: Multipliers, by: Multipliers, a: jax.Array, back: jax.Array,
-        mu: jax.Array,
-    ) -> Multipliers:  # fmt: skip
+        self, point: CollocationPoint, l: CollocationMultipliers, by: CollocationMultipliers,
+        a: jax.Array, back: jax.Array, mu: jax.Array,
+    ) -> CollocationMultipliers:  # fmt: skip
         """Return the multipliers at the new point.
 
         a: step length of costates and equation multipliers. back: step length of bound multipliers.
@@ -261,10 +276,10 @@ class Transcribed(NamedTuple):
             for x, z, dz in zip(self.bounded(point), l.duals, by.duals, strict=True)
         )
         costates, y = jax.tree.map(lambda x, d: x + a * d, (l.costates, l.y), (by.costates, by.y))
-        return Multipliers(costates, duals, y, l.centre)
+        return CollocationMultipliers(costates, duals, y, l.centre)
 
 
-def constraint_values(t: Transcribed, point: Point) -> tuple[jax.Array, jax.Array]:
+def constraint_values(t: Transcribed, point: CollocationPoint) -> tuple[jax.Array, jax.Array]:
     """Return the constraint rows at all stages (N, s, c) and at the end (e,)."""
     problem, dtype = t.problem, point.inner.us.dtype
     body = take(point.knots, BODY)

@@ -20,9 +20,9 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from rbjax.control.optimal.derivatives.riccati_solve import (
-    Factor,
+    KKTFactor,
+    KKTUnknowns,
     Saddle,
-    Unknowns,
     apply_masks,
     factorise,
     multiply,
@@ -86,12 +86,12 @@ class KKTPoint(NamedTuple):
     at_high: jax.Array
     first_low: jax.Array
     first_high: jax.Array
-    gradient: Unknowns
+    gradient: KKTUnknowns
     equations: Saddle
-    factor: Factor
+    factor: KKTFactor
 
 
-def solve_kkt(kkt: KKTPoint, r: Unknowns) -> Unknowns:
+def solve_kkt(kkt: KKTPoint, r: KKTUnknowns) -> KKTUnknowns:
     """Solve the KKT system K z = r for the unknowns z."""
     e, f = kkt.equations, kkt.factor
     flat, whole = ravel_pytree(r)  # one array, as the transpose rule needs
@@ -211,7 +211,7 @@ class KKTSystem:
 
         e, factor = _definite_equations(made(H, H_N), made(gauss, gauss_N))
         first_row = (1 - fixed) * l_0
-        gradient = Unknowns(
+        gradient = KKTUnknowns(
             jnp.zeros_like(l).at[0].set(first_row), free * gu,
             jnp.concatenate([jnp.zeros((1, n), dtype), gap]), rows * off, rows_N * off_N,
         )  # fmt: skip
@@ -248,14 +248,16 @@ class KKTSystem:
         off = [system.minus(parameters[2], first.state), held - first.parameters]
         return kkt.equations.fixed * jnp.concatenate(off)
 
-    def gradient(self, parameters: tuple, kkt: KKTPoint) -> Unknowns:
+    def gradient(self, parameters: tuple, kkt: KKTPoint) -> KKTUnknowns:
         """Return the gradient of L with respect to the unknowns."""
         zero = jax.tree.map(jnp.zeros_like, kkt.gradient)
         g = jax.grad(lambda z: self.lagrangian(parameters, kkt, z))(zero)
         e = kkt.equations
         return g._replace(u=e.free * g.u, path=e.path * g.path, end=e.end * g.end)
 
-    def lagrangian(self, parameters: tuple, kkt: KKTPoint, z: Unknowns | None = None) -> jax.Array:
+    def lagrangian(
+        self, parameters: tuple, kkt: KKTPoint, z: KKTUnknowns | None = None
+    ) -> jax.Array:
         """Return the Lagrangian at the point (+) z, with active constraint rows only."""
         point, z = kkt.point, jax.tree.map(jnp.zeros_like, kkt.gradient) if z is None else z
         (ks, body, _, following), last = self.knots(point)
@@ -273,7 +275,7 @@ class KKTSystem:
         return jax.vmap(one)(l[1:], nu, d, z.x[1:], *at).sum() + closing + (l[0] * first_row).sum()
 
 
-def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
+def _definite_equations(exact: Saddle, gauss: Saddle) -> tuple[Saddle, KKTFactor]:
     """Return the system with exact Hessians if definite, else with Gauss-Newton Hessians."""
     fixed = jax.lax.stop_gradient
     found = factorise(fixed(exact))
@@ -306,6 +308,6 @@ def _gauss_newton(J: jax.Array) -> jax.Array:
     return H + REGULAR * (1 + jnp.trace(H) / n) * jnp.eye(n, dtype=H.dtype)
 
 
-def _size(g: Unknowns) -> jax.Array:
+def _size(g: KKTUnknowns) -> jax.Array:
     """Return the largest absolute entry; nan if any entry is nan."""
     return jnp.stack([jnp.abs(x).max(initial=0.0) for x in g]).max()

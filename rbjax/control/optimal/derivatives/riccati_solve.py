@@ -27,7 +27,7 @@ def transpose_product(A: jax.Array, B: jax.Array) -> jax.Array:
     return product(A.T, B)
 
 
-class Unknowns(NamedTuple):
+class KKTUnknowns(NamedTuple):
     """Unknowns of the KKT system, or a right-hand side.
 
     x: states, (N + 1, n).
@@ -65,7 +65,7 @@ class Saddle(NamedTuple):
     end: jax.Array
 
 
-class Factor(NamedTuple):
+class KKTFactor(NamedTuple):
     """The factors of a KKT matrix by the Riccati recursion."""
 
     K: jax.Array  # (N, m, n)
@@ -85,7 +85,7 @@ def apply_masks(e: Saddle) -> Saddle:
     )  # fmt: skip
 
 
-def multiply(e: Saddle, z: Unknowns) -> Unknowns:
+def multiply(e: Saddle, z: KKTUnknowns) -> KKTUnknowns:
     """Return the product K z of the KKT matrix, from masked blocks, and a vector."""
     x, after, l = z.x[:-1], z.x[1:], z.l[1:]
     mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
@@ -95,14 +95,14 @@ def multiply(e: Saddle, z: Unknowns) -> Unknowns:
     gu = mulT(e.S, x) + mul(e.R, z.u) + mulT(e.B, l) + mulT(e.D, z.path) + (1 - e.free) * z.u
     gap = mul(e.A, x) + mul(e.B, z.u) - after
     opening = (1 - e.fixed) * z.l[0] - e.fixed * z.x[0]
-    return Unknowns(
+    return KKTUnknowns(
         jnp.concatenate([gx - before, last[None]]), gu, jnp.concatenate([opening[None], gap]),
         mul(e.C, x) + mul(e.D, z.u) + (1 - e.path) * z.path,
         product(e.E, z.x[-1]) + (1 - e.end) * z.end,
     )  # fmt: skip
 
 
-def factorise(e: Saddle) -> Factor:
+def factorise(e: Saddle) -> KKTFactor:
     """Factor the masked KKT matrix by a Riccati recursion."""
     dtype = e.Q.dtype
     rho = jnp.asarray(float(jnp.finfo(dtype).eps) ** -0.4, dtype)
@@ -125,7 +125,7 @@ def factorise(e: Saddle) -> Factor:
     (V, ok), (K, inverse, Vs) = found
     open_ = 1 - e.fixed
     first, fine = _inverse(V * open_[:, None] * open_ + jnp.diag(e.fixed))
-    return Factor(K, inverse, jnp.concatenate([Vs, V_N[None]]), first, rho, ok & fine)
+    return KKTFactor(K, inverse, jnp.concatenate([Vs, V_N[None]]), first, rho, ok & fine)
 
 
 def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -138,17 +138,17 @@ def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
     return product(vectors / held, vectors.T), (values > least).all()
 
 
-def solve(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
+def solve(e: Saddle, f: KKTFactor, r: KKTUnknowns) -> KKTUnknowns:
     """Solve K z = r for z, with iterative refinement."""
 
-    def refine(_: Any, z: Unknowns) -> Unknowns:
+    def refine(_: Any, z: KKTUnknowns) -> KKTUnknowns:
         left = jax.tree.map(jnp.subtract, r, multiply(e, z))
         return jax.tree.map(jnp.add, z, _solve_penalised(e, f, left))
 
     return jax.lax.fori_loop(0, TURNS + 1, refine, jax.tree.map(jnp.zeros_like, r))
 
 
-def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
+def _solve_penalised(e: Saddle, f: KKTFactor, r: KKTUnknowns) -> KKTUnknowns:
     """Solve the KKT system, regularized by -1/rho on the diagonal of active rows."""
     rho = f.rho
     rows, ends = rho * e.path * r.path, rho * e.end * r.end
@@ -174,4 +174,4 @@ def _solve_penalised(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     l = jnp.concatenate([l0[None], mul(f.V[1:], x[1:]) + vs])
     path = rho * (mul(e.C, x[:-1]) + mul(e.D, u)) - rows + (1 - e.path) * r.path
     end = rho * product(e.E, x[-1]) - ends + (1 - e.end) * r.end
-    return Unknowns(x, u, l, path, end)
+    return KKTUnknowns(x, u, l, path, end)

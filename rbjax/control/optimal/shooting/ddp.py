@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiler import threads
-from rbjax.control.optimal.objective import Multipliers, knot_violation, merit
+from rbjax.control.optimal.objective import ConstraintMultipliers, knot_violation, merit
 from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.expansion import Expanded
@@ -30,20 +30,20 @@ from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.shooting.search import (
     LENGTHS,
     Decision,
-    Iterate,
     IterationValues,
+    SearchIterate,
     StepPolicy,
     search,
 )
-from rbjax.control.optimal.solution import Options, SearchResult
+from rbjax.control.optimal.solution import SearchResult, SolveOptions
 from rbjax.control.products import product
 
 ACCEPTED, ASCENT = 0.1, 2.0  # fractions of the expected change
 
 
 def solve_ddp(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
-    exact: bool = False,
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
+    history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
     """Solve a problem by differential dynamic programming.
 
@@ -70,7 +70,7 @@ class Rollout(NamedTuple):
 
 def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
-    multipliers: Multipliers, a: jax.Array,
+    multipliers: ConstraintMultipliers, a: jax.Array,
 ) -> Rollout:  # fmt: skip
     """Roll out the controls u + a k + K dx, and sum cost, violation and gaps along the motion."""
     first = take(knots, 0)
@@ -105,7 +105,7 @@ def forward_pass(
 
 
 def _rollouts(
-    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
+    problem: Problem, now: SearchIterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Rollout:
     """Roll out trial steps of all step lengths."""
     lengths = jnp.asarray(LENGTHS, now.ctrl.dtype)
@@ -116,7 +116,7 @@ def _rollouts(
 
 
 def _take_rollout(
-    problem: Problem, now: Iterate, trials: Rollout, decided: Decision
+    problem: Problem, now: SearchIterate, trials: Rollout, decided: Decision
 ) -> tuple[Knot, jax.Array]:
     """Return the knots and controls of the accepted trial."""
     return jax.tree.map(

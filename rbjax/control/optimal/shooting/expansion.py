@@ -21,7 +21,7 @@ from jax.extend.core import Var
 
 from rbjax.compiler import map_threads, threads, with_multi_kernel
 from rbjax.control.optimal.objective import (
-    Multipliers,
+    ConstraintMultipliers,
     example_knot,
     half_square,
     knot_violation,
@@ -181,7 +181,7 @@ class Expanded(NamedTuple):
 
 
 def expand(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: ConstraintMultipliers
 ) -> Expanded:
     """Expand all knots to second order, in parallel."""
     N, dtype = problem.horizon, ctrls.dtype
@@ -261,7 +261,11 @@ def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
 
 
 def add_curvature(
-    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
+    problem: Problem,
+    knots: Knot,
+    ctrls: jax.Array,
+    multipliers: ConstraintMultipliers,
+    found: Expanded,
 ) -> Expanded:
     """Add the second derivatives that Gauss-Newton omits to the expansion of all knots."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
@@ -287,7 +291,7 @@ def add_curvature(
 
 
 def updated_multipliers(
-    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: ConstraintMultipliers
 ) -> tuple[jax.Array, jax.Array]:
     """Return the next multipliers of the path and end constraints, in parallel over the knots."""
     N, dtype = problem.horizon, ctrls.dtype

@@ -23,7 +23,7 @@ MOST, NEAR = 10.0, 1e-4  # bounds of the infeasibility, relative to max(1, its f
 ROUNDING = 10.0  # units in the last place
 
 
-class Filter(NamedTuple):
+class CostFilter(NamedTuple):
     """A filter of pairs.
 
     theta, phi: infeasibilities and costs, (KEPT,), infinite in unused entries.
@@ -39,14 +39,14 @@ class Filter(NamedTuple):
     near: jax.Array
 
 
-def empty_filter(theta: jax.Array) -> Filter:
+def empty_filter(theta: jax.Array) -> CostFilter:
     """Return a filter without pairs. theta: the infeasibility of the first guess."""
     none = jnp.full(KEPT, jnp.inf, theta.dtype)
     size = jnp.maximum(1.0, theta)
-    return Filter(none, none, jnp.asarray(0), MOST * size, NEAR * size)
+    return CostFilter(none, none, jnp.asarray(0), MOST * size, NEAR * size)
 
 
-def without_pairs(filter_: Filter) -> Filter:
+def without_pairs(filter_: CostFilter) -> CostFilter:
     """Remove all pairs, because the cost function has changed."""
     none = jnp.full_like(filter_.theta, jnp.inf)
     return filter_._replace(theta=none, phi=none, used=jnp.zeros_like(filter_.used))
@@ -57,21 +57,25 @@ def rounding(cost: jax.Array) -> jax.Array:
     return ROUNDING * jnp.finfo(cost.dtype).eps * jnp.abs(cost)
 
 
-class Pair(NamedTuple):
+class FilterPair(NamedTuple):
     """A pair of infeasibility and cost, each ()."""
 
     theta: jax.Array
     phi: jax.Array
 
 
-def must_decrease(filter_: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+def must_decrease(
+    filter_: CostFilter, now: FilterPair, slope: jax.Array, a: jax.Array
+) -> jax.Array:
     """Return whether a step of length a must satisfy the Armijo condition."""
     falls = jnp.maximum(-slope, 0.0)
     switch = a * falls**POWER_SLOPE > now.theta**POWER_THETA
     return (now.theta <= filter_.near) & (slope < 0) & switch
 
 
-def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+def accepts(
+    filter_: CostFilter, now: FilterPair, trial: FilterPair, slope: jax.Array, a: jax.Array
+) -> jax.Array:
     """Return whether a trial step of length a is acceptable."""
     slack, trial_slack = rounding(now.phi), rounding(trial.phi)
     armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
@@ -84,8 +88,8 @@ def accepts(filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Ar
 
 
 def updated_filter(
-    filter_: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
-) -> Filter:
+    filter_: CostFilter, now: FilterPair, trial: FilterPair, slope: jax.Array, a: jax.Array
+) -> CostFilter:
     """Return the filter after an accepted step of length a from the pair `now` to `trial`."""
     armijo = trial.phi - now.phi <= ARMIJO * a * slope
     enters = ~(must_decrease(filter_, now, slope, a) & armijo)

@@ -36,7 +36,7 @@ from rbjax.control.optimal.objective import (
 from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.shooting.ddp import solve_ddp
 from rbjax.control.optimal.shooting.expansion import largest_gap
-from rbjax.control.optimal.solution import Options, SearchResult
+from rbjax.control.optimal.solution import SearchResult, SolveOptions
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes.arrays import select
@@ -116,7 +116,7 @@ class SampledStart:
         integer("SampledStart", "rounds", self.rounds, least=1)
 
     def __call__(
-        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
         history: int,
     ) -> SearchResult:  # fmt: skip
         """Run the sampling method, then DDP from its result."""
@@ -141,7 +141,7 @@ class Draw(NamedTuple):
     first: jax.Array
 
 
-class Round(NamedTuple):
+class SamplingRound(NamedTuple):
     """The state of a sampling method between two rounds: distribution, best sample, its cost."""
 
     mean: Draw
@@ -155,8 +155,8 @@ class Round(NamedTuple):
 
 
 def solve_sampling(
-    how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
-    history: int,
+    how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: SolveOptions, history: int,
 ) -> SearchResult:  # fmt: skip
     """Solve a problem with a sampling method. It finishes if the costs of the best tenth agree to
     the tolerance, relative to the cost. Since their deviation shrinks everywhere, this does not
@@ -172,7 +172,7 @@ def solve_sampling(
 
     costs_of = jax.vmap(threads(cost_of), (0, None))
 
-    def turn(now: Round) -> Round:
+    def turn(now: SamplingRound) -> SamplingRound:
         drawn = _draw_samples(jax.random.fold_in(key, now.iterations), now, how.samples, low, high)
         costs = costs_of(drawn, start)
         least, order = jax.lax.top_k(-costs, elites)
@@ -188,10 +188,10 @@ def solve_sampling(
         status = jnp.where(small, FINISHED, status)
         status = jnp.where(jnp.isfinite(cost) | (status == GOING), status, NOT_FINITE)
         costs = now.costs.at[jnp.minimum(now.iterations, history - 1)].set(cost)
-        return Round(mean, deviation, best, cost, cost_spread, iterations, costs, status)
+        return SamplingRound(mean, deviation, best, cost, cost_spread, iterations, costs, status)
 
     endless = jnp.asarray(jnp.inf, dtype)
-    begin = Round(
+    begin = SamplingRound(
         mean, first, mean, endless, endless, jnp.asarray(0), jnp.full(history, jnp.nan, dtype),
         jnp.asarray(GOING),
     )  # fmt: skip
@@ -238,7 +238,7 @@ def _initial_distribution(
     return mean, wide._replace(first=free * wide.first), *edges
 
 
-def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
+def _draw_samples(key: jax.Array, now: SamplingRound, samples: int, low: Draw, high: Draw) -> Draw:
     """Draw the samples of a round; the first of them is the mean."""
     keys = Draw(*jax.random.split(key, 3))
 
@@ -250,7 +250,7 @@ def _draw_samples(key: jax.Array, now: Round, samples: int, low: Draw, high: Dra
 
 
 def _update_distribution(
-    how: Sampling, now: Round, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
+    how: Sampling, now: SamplingRound, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
 ) -> tuple[Draw, Draw]:
     """Return the next mean and deviation. good, least: the best samples and costs, sorted."""
     colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)

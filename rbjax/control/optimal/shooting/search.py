@@ -25,7 +25,7 @@ from rbjax.control.optimal.objective import (
     HARDER,
     PENALTY,
     PENALTY_MOST,
-    Multipliers,
+    ConstraintMultipliers,
     motion_cost,
     next_penalty,
     no_multipliers,
@@ -41,7 +41,7 @@ from rbjax.control.optimal.shooting.expansion import (
     updated_multipliers,
 )
 from rbjax.control.optimal.shooting.filter_search import rounding
-from rbjax.control.optimal.solution import Options, SearchResult, StoppingRule
+from rbjax.control.optimal.solution import SearchResult, SolveOptions, StoppingRule
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.lanes.arrays import select
 
@@ -230,7 +230,7 @@ def _small(
     return values.ok & (decrease <= least) & ((now.reg <= LEAST) | flat)
 
 
-def cost_noise(multipliers: Multipliers) -> jax.Array:
+def cost_noise(multipliers: ConstraintMultipliers) -> jax.Array:
     """Return the error () of the cost by constraints that are met to `FLOOR` units in the last
     place of 1. The multipliers are the derivatives of the cost with respect to the constraints."""
     squares = (multipliers.path**2).sum() + (multipliers.end**2).sum()
@@ -253,7 +253,7 @@ def gap_tolerance(dtype: Any) -> float:
     return float(jnp.finfo(dtype).eps) ** 0.6
 
 
-class Iterate(NamedTuple):
+class SearchIterate(NamedTuple):
     """The iterate of a search.
 
     knots, ctrl: the motion, (N + 1, ...) and (N, m).
@@ -265,7 +265,7 @@ class Iterate(NamedTuple):
 
     knots: Knot
     ctrl: jax.Array
-    multipliers: Multipliers
+    multipliers: ConstraintMultipliers
     K: jax.Array
     search: SearchState
     costs: jax.Array
@@ -289,7 +289,7 @@ class StepPolicy(NamedTuple):
 
 def search(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
-    options: Options, history: int, exact: bool = False,
+    options: SolveOptions, history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
     """Solve a problem by iterations whose steps a `StepPolicy` tries and accepts."""
     last = iterate(policy, problem, start, knots, ctrls, options, history, exact)
@@ -332,13 +332,13 @@ def compute_gains(
 
 def iterate(
     policy: StepPolicy, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
-    options: Options, history: int, exact: bool,
-) -> Iterate:  # fmt: skip
+    options: SolveOptions, history: int, exact: bool,
+) -> SearchIterate:  # fmt: skip
     """Iterate from the knots and controls of the first guess until the stopping rule holds."""
     constrained = bool(problem.constraints)
     decision = threads(functools.partial(decide, policy.accept, policy.closes_gaps, constrained))
 
-    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
+    def gains_at(now: SearchIterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.search.reg
         # with second derivatives, steps along the dynamics are short, so k obeys all bounds
         boxed = exact and policy.closes_gaps
@@ -348,7 +348,7 @@ def iterate(
         full = plain(add_curvature(problem, now.knots, now.ctrl, now.multipliers, found), gaps, reg)
         return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
 
-    def turn(now: Iterate) -> Iterate:
+    def turn(now: SearchIterate) -> SearchIterate:
         at = now.search
         found = expand(problem, start, now.knots, now.ctrl, now.multipliers)
         gaps = jnp.where(at.feasible, 0.0, found.gaps) if policy.closes_gaps else found.gaps
@@ -367,11 +367,11 @@ def iterate(
         if constrained:
             new = updated_multipliers(problem, knots, ctrls, multipliers)
             path, end = select(decided.new_multipliers, new, multipliers[:2])
-            multipliers = Multipliers(path, end, after.penalty)
+            multipliers = ConstraintMultipliers(path, end, after.penalty)
         if options.report is not None:
             jax.debug.callback(options.report, after.iterations, after.cost, after.violation)
         costs = now.costs.at[jnp.minimum(at.iterations, history - 1)].set(after.cost)
-        return Iterate(knots, ctrls, multipliers, gains.K, after, costs)
+        return SearchIterate(knots, ctrls, multipliers, gains.K, after, costs)
 
     begin = initial_iterate(problem, knots, ctrls, options.rule, history, options.multipliers)
     return jax.lax.while_loop(lambda now: now.search.status == GOING, turn, begin)
@@ -379,15 +379,15 @@ def iterate(
 
 def initial_iterate(
     problem: Problem, knots: Knot, ctrls: jax.Array, rule: StoppingRule, history: int,
-    multipliers: Multipliers | None = None,
-) -> Iterate:  # fmt: skip
+    multipliers: ConstraintMultipliers | None = None,
+) -> SearchIterate:  # fmt: skip
     """Return the first iterate of a search."""
     dtype, N = ctrls.dtype, problem.horizon
     ctrls = problem.within_bounds(ctrls)
     if multipliers is None:
         path, end = (row_count(problem, where) for where in ("path", "end"))
         multipliers = no_multipliers(N, path, end, dtype)
-    return Iterate(
+    return SearchIterate(
         knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
         initial_search_state(rule, bool(problem.constraints), multipliers.penalty),
         jnp.full(history, jnp.nan, dtype),

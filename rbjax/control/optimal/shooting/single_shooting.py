@@ -23,11 +23,11 @@ import optax
 import optimistix as optx
 
 from rbjax.control.optimal import objective
-from rbjax.control.optimal.objective import Multipliers
+from rbjax.control.optimal.objective import ConstraintMultipliers
 from rbjax.control.optimal.problem import Knot, Problem, take
 from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.shooting.search import CLOSER, FLOOR, LOOSE
-from rbjax.control.optimal.solution import Options, SearchResult
+from rbjax.control.optimal.solution import SearchResult, SolveOptions
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
@@ -39,7 +39,7 @@ PATIENCE = 20  # iterations within which a gradient method must lower the cost
 SHORTER, SHORTEST = 0.25, 1e-6  # otherwise, the factor of its steps, and the smallest step
 
 
-class Unknowns(NamedTuple):
+class ShootingUnknowns(NamedTuple):
     """Unknowns of single shooting.
 
     us: unbounded coordinates of the controls, (N, m).
@@ -50,14 +50,14 @@ class Unknowns(NamedTuple):
     dx: jax.Array
 
 
-class Shooting(NamedTuple):
+class ShootingProblem(NamedTuple):
     """A problem and the first knot of the guess. The unknowns are the controls, the parameters and
     the free coordinates of the first state."""
 
     problem: Problem
     first: Knot
 
-    def knots(self, w: Unknowns) -> tuple[Knot, jax.Array]:
+    def knots(self, w: ShootingUnknowns) -> tuple[Knot, jax.Array]:
         """Simulate the motion of unknowns w. Return its knots and controls."""
         problem = self.problem
         us = from_unbounded(w.us, problem.low, problem.high)
@@ -94,7 +94,7 @@ def to_unbounded(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
 
 
 def lagrangian_residuals(
-    s: Shooting, w: Unknowns, l: Multipliers
+    s: ShootingProblem, w: ShootingUnknowns, l: ConstraintMultipliers
 ) -> tuple[list[jax.Array], jax.Array]:
     """Return the residuals of the augmented Lagrangian, and the sum of its other terms."""
 
@@ -106,7 +106,9 @@ def lagrangian_residuals(
     return [path.reshape(-1), end], rest.sum() + last
 
 
-def lagrangian_value(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
+def lagrangian_value(
+    s: ShootingProblem, w: ShootingUnknowns, l: ConstraintMultipliers
+) -> jax.Array:
     """Return the augmented Lagrangian ()."""
     found, rest = lagrangian_residuals(s, w, l)
     return rest + sum(map(objective.half_square, found), jnp.zeros_like(rest))
@@ -125,7 +127,7 @@ class Target(NamedTuple):
     iterations: jax.Array
 
     def stationarity(
-        self, w: Unknowns, cost: jax.Array, slope: Unknowns
+        self, w: ShootingUnknowns, cost: jax.Array, slope: ShootingUnknowns
     ) -> tuple[jax.Array, jax.Array]:
         """Return the squared scaled gradient divided by the cost, and whether the gradient is
         small.
@@ -141,7 +143,7 @@ class Target(NamedTuple):
 class InnerResult(NamedTuple):
     """The result of an inner search: unknowns, status, iterations, stationarity, costs."""
 
-    w: Unknowns
+    w: ShootingUnknowns
     status: jax.Array
     iterations: jax.Array
     stationarity: jax.Array
@@ -152,13 +154,16 @@ class Best(NamedTuple):
     """The unknowns of lowest cost, with their cost and gradient norm, and whether the norm is
     small."""
 
-    w: Unknowns
+    w: ShootingUnknowns
     cost: jax.Array
     stationarity: jax.Array
     small: jax.Array
 
 
-Inner = Callable[[Shooting, Unknowns, Multipliers, Target, jax.Array, jax.Array], InnerResult]
+Inner = Callable[
+    [ShootingProblem, ShootingUnknowns, ConstraintMultipliers, Target, jax.Array, jax.Array],
+    InnerResult,
+]
 
 
 def optax_search(optimiser: optax.GradientTransformation) -> Inner:
@@ -167,8 +172,8 @@ def optax_search(optimiser: optax.GradientTransformation) -> Inner:
     steps."""
 
     def search(
-        s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
-        costs: jax.Array,
+        s: ShootingProblem, w: ShootingUnknowns, l: ConstraintMultipliers, target: Target,
+        used: jax.Array, costs: jax.Array,
     ) -> InnerResult:  # fmt: skip
         value = jax.value_and_grad(lambda w: lagrangian_value(s, w, l))
         dtype, history = w.us.dtype, costs.shape[0]
@@ -209,14 +214,14 @@ def optimistix_search(squares: bool) -> Inner:
     """Build a search by BFGS, or by Levenberg-Marquardt (squares) if all costs are residuals."""
 
     def search(
-        s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
-        costs: jax.Array,
+        s: ShootingProblem, w: ShootingUnknowns, l: ConstraintMultipliers, target: Target,
+        used: jax.Array, costs: jax.Array,
     ) -> InnerResult:  # fmt: skip
         dtype, history = w.us.dtype, costs.shape[0]
         least = 10 * float(jnp.finfo(dtype).eps)  # shorter steps end a search as stuck
         solver: Any = (optx.LevenbergMarquardt if squares else optx.BFGS)(least, least)
 
-        def fn(w: Unknowns, _: Any) -> tuple[jax.Array, None]:
+        def fn(w: ShootingUnknowns, _: Any) -> tuple[jax.Array, None]:
             if squares:
                 return jnp.concatenate(lagrangian_residuals(s, w, l)[0]), None
             return lagrangian_value(s, w, l), None
@@ -259,18 +264,18 @@ def optimistix_search(squares: bool) -> Inner:
 
 
 def solve_single_shooting(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
-    inner: Callable[[Problem], Inner],
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
+    history: int, inner: Callable[[Problem], Inner],
 ) -> SearchResult:  # fmt: skip
     """Solve a problem by single shooting. A guess of the states is used only for a free start."""
     dtype, n = ctrls.dtype, problem.n
     search = inner(problem)
     first = take(knots, 0)
     state = first.state if any(problem.free) else start
-    s = Shooting(problem, Knot(state, first.parameters))
+    s = ShootingProblem(problem, Knot(state, first.parameters))
     low, high = problem.parameter_bounds(dtype)
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(to_unbounded(first.parameters, low, high))
-    w = Unknowns(to_unbounded(ctrls, problem.low, problem.high), dx)
+    w = ShootingUnknowns(to_unbounded(ctrls, problem.low, problem.high), dx)
     path, closing = (objective.row_count(problem, at) for at in ("path", "end"))
     l = objective.no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
@@ -296,8 +301,8 @@ def solve_single_shooting(
 
 
 def next_multipliers_of(
-    s: Shooting, knots: Knot, us: jax.Array, l: Multipliers
-) -> tuple[jax.Array, Multipliers]:
+    s: ShootingProblem, knots: Knot, us: jax.Array, l: ConstraintMultipliers
+) -> tuple[jax.Array, ConstraintMultipliers]:
     """Return the largest violation, and the next multipliers."""
     both = objective.rows_along(s.problem, knots, us)
     ys = []
@@ -305,13 +310,13 @@ def next_multipliers_of(
         bounds = objective.row_bounds(s.problem, where, us.dtype)
         ys.append(l.penalty * objective.shifted_excess(rows, y, l.penalty, *bounds))
     off = objective.constraint_violations(s.problem, *both).max(initial=0.0)
-    return off, Multipliers(ys[0], ys[1], l.penalty)
+    return off, ConstraintMultipliers(ys[0], ys[1], l.penalty)
 
 
 def _multiplier_iterations(
-    s: Shooting, w: Unknowns, l: Multipliers, target: Target, violation: jax.Array,
-    costs: jax.Array, search: Inner,
-) -> tuple[InnerResult, Multipliers, jax.Array]:  # fmt: skip
+    s: ShootingProblem, w: ShootingUnknowns, l: ConstraintMultipliers, target: Target,
+    violation: jax.Array, costs: jax.Array, search: Inner,
+) -> tuple[InnerResult, ConstraintMultipliers, jax.Array]:  # fmt: skip
     """Run searches in sequence, with updated multipliers and a smaller tolerance after each of
     them. Return the last search, the multipliers and the largest constraint violation."""
     big, least = jnp.asarray(jnp.inf, w.us.dtype), target.tolerance

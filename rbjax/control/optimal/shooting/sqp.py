@@ -33,18 +33,18 @@ from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
 from rbjax.control.optimal.shooting.search import (
     LENGTHS,
     Decision,
-    Iterate,
     IterationValues,
+    SearchIterate,
     StepPolicy,
     search,
 )
-from rbjax.control.optimal.solution import Options, SearchResult
+from rbjax.control.optimal.solution import SearchResult, SolveOptions
 from rbjax.control.products import product
 
 RHO = 3.0
 
 
-class Step(NamedTuple):
+class LinearStep(NamedTuple):
     """The step of the linear model.
 
     dx, du: (N + 1, n) and (N, m).
@@ -68,29 +68,29 @@ class LinearTrials(NamedTuple):
     costs: jax.Array
     violations: jax.Array
     more: tuple[jax.Array, jax.Array, jax.Array]
-    step: Step
+    step: LinearStep
 
 
 def solve_sqp(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
-    exact: bool = False,
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
+    history: int, exact: bool = False,
 ) -> SearchResult:  # fmt: skip
     """Solve a problem by sequential quadratic programming. exact: as in `solve_ddp`."""
     return search(LINEAR_STEPS, problem, start, knots, ctrls, options, history, exact)
 
 
-def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
+def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> LinearStep:
     """Compute the step of the linear model. The gains keep active bounds of controls."""
 
     dx, du = roll_linear(path.A, path.B, gaps[1:], gains.K, gains.k, gains.first)
     V, first = gains.V[0], gaps[0]
     l = gains.v[0] + product(V, gains.first - first)
     opening = jnp.stack([(l * first).sum(), RHO * (first * product(V, first)).sum()])
-    return Step(dx, du, opening)
+    return LinearStep(dx, du, opening)
 
 
 def _trials(
-    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
+    problem: Problem, now: SearchIterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> LinearTrials:
     """Evaluate trial steps of all step lengths at all knots."""
     dtype, N = now.ctrl.dtype, problem.horizon
@@ -152,7 +152,7 @@ def _trials(
 
 
 def _take_linear_step(
-    problem: Problem, now: Iterate, trials: LinearTrials, decided: Decision
+    problem: Problem, now: SearchIterate, trials: LinearTrials, decided: Decision
 ) -> tuple[Knot, jax.Array]:
     """Apply the accepted step to the knots and controls."""
 
