@@ -32,12 +32,7 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.constrained.differential_algebraic import (
-    AlgebraicEquations,
-    StepStart,
-    damp_error,
-    solve,
-)
+from rbjax.solvers.constrained.differential_algebraic import DAE, StepStart, damp_error, solve
 from rbjax.solvers.constrained.simplified import weight, weights
 from rbjax.solvers.groups import unwrap
 from rbjax.solvers.multistep import BackwardDifference
@@ -118,7 +113,7 @@ def _padded(w: jax.Array, size: int) -> jax.Array:
 
 def initial_equations(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
-) -> tuple[AlgebraicEquations, StepStart]:
+) -> tuple[DAE, StepStart]:
     """Return the DAE relative to a state, and its initial rates and multipliers by the index-1
     formulation."""
     tau, f_ext, dx = forces(t, state)
@@ -133,11 +128,11 @@ def initial_equations(
 
 def equations_of(
     dynamics: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
-) -> AlgebraicEquations:
+) -> DAE:
     """Return the DAE in increments relative to a state."""
     f = dynamics.equations(model, state.q, forces)
     depth, usual, again = dynamics.algebraic(model, t, state)
-    return AlgebraicEquations(f, depth, usual, model.nv, again)
+    return DAE(f, depth, usual, model.nv, again)
 
 
 def increment(model: Model, u: jax.Array) -> State:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import radau_iia
-from rbjax.solvers.constrained.differential_algebraic import AlgebraicEquations, StepStart, solve
+from rbjax.solvers.constrained.differential_algebraic import DAE, StepStart, solve
 from rbjax.solvers.constrained.schur_complement import Factored, Matrix
 from rbjax.solvers.constrained.simplified import weights
 
@@ -14,7 +14,7 @@ TABLEAU = radau_iia(3).tableau
 FORCE = 7.0
 
 
-def cross(index: int, redundant: bool) -> AlgebraicEquations:
+def cross(index: int, redundant: bool) -> DAE:
     """A unit mass that moves along x or along y, x y = 0, under a force across that grows with x:
     its row vanishes where both do."""
     again = 2 if redundant else 1
@@ -26,7 +26,7 @@ def cross(index: int, redundant: bool) -> AlgebraicEquations:
         off = [dx - vx, dy - vy, ax - l * y, ay - (FORCE + l) * x]
         return jnp.stack([*off, *[row] * again])
 
-    return AlgebraicEquations(f, (index - 1,) * again, jnp.ones(again), 2)
+    return DAE(f, (index - 1,) * again, jnp.ones(again), 2)
 
 
 @pytest.mark.parametrize("index, redundant", [(2, False), (3, False), (3, True)])

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax.sysid.simulation.simulation_error import HUBER
-from rbjax.sysid.statistics.fit_statistics import (
-    ResidualColumn,
-    ResidualRows,
-    _scores,
-    fit_statistics,
-)
+from rbjax.sysid.statistics.fit_statistics import FitColumn, FitRows, _scores, fit_statistics
 
 M = 300
 T = np.linspace(0.0, 3.0, M)
@@ -21,8 +16,8 @@ NAMES = ["a", "b", "c"]
 def columns(residual, slopes=J, huber=False, stated=True):
     inside = np.abs(residual) < HUBER if huber else np.ones(len(residual), bool)
     psi = np.where(inside, residual, HUBER * np.sign(residual))
-    rows = ResidualRows(slopes, psi, inside, np.arange(len(psi)), np.arange(slopes.shape[1]))
-    return [ResidualColumn("y[0]", [rows], stated)]
+    rows = FitRows(slopes, psi, inside, np.arange(len(psi)), np.arange(slopes.shape[1]))
+    return [FitColumn("y[0]", [rows], stated)]
 
 
 def coverage(noise, huber=False, repetitions=150, stated=True):
@@ -97,7 +92,7 @@ def test_intervals_of_slow_noise_hold(rho, together):
         x = np.linalg.lstsq(whole, y)[0]
         r = (whole @ x - y).reshape(2, M)
         each = [
-            ResidualColumn(f"y[{c}]", columns(r[c], slopes[c])[0].runs, True) for c in range(2)
+            FitColumn(f"y[{c}]", columns(r[c], slopes[c])[0].runs, True) for c in range(2)
         ]  # fmt: skip
         said = fit_statistics(NAMES, x, each)
         spans = [said.estimates.interval(name) for name in NAMES]
@@ -112,11 +107,11 @@ def test_innovations_count_with_all_that_follows():
         sums = []
         for place in (np.arange(40), np.sort(rng.choice(400, 40, replace=False))):
             G, psi = rng.normal(size=(40, 3)), rng.normal(size=40)
-            rows = ResidualRows(G, psi, np.ones(40, bool), place, np.arange(3))
-            none = ResidualRows(G[:0], psi[:0], np.ones(0, bool), place[:0], np.arange(3))
+            rows = FitRows(G, psi, np.ones(40, bool), place, np.arange(3))
+            none = FitRows(G[:0], psi[:0], np.ones(0, bool), place[:0], np.arange(3))
             both = [
-                ResidualColumn("a", [rows, none], True),
-                ResidualColumn("b", [none, rows], True),
+                FitColumn("a", [rows, none], True),
+                FitColumn("b", [none, rows], True),
             ]
             turned = [[G, G[:0]], [G[:0], G]]
             sums.append(sum(g.sum(0) for g in _scores(both, turned, np.array([rho, 0.3]))))
@@ -131,9 +126,9 @@ def test_columns_of_unequal_noise_and_few_samples():
     single = np.array([[0.0, 0.0, 0.0, 1.0]])
     first = columns(0.1 * rng.normal(size=M), wide)[0]
     for stated, sigma in ((True, 1.0), (False, 0.1)):
-        rows = ResidualRows(single, np.zeros(1), np.ones(1, bool), np.zeros(1, int), np.arange(4))
+        rows = FitRows(single, np.zeros(1), np.ones(1, bool), np.zeros(1, int), np.arange(4))
         said = fit_statistics(
-            [*NAMES, "d"], np.zeros(4), [first, ResidualColumn("z[0]", [rows], stated)]
+            [*NAMES, "d"], np.zeros(4), [first, FitColumn("z[0]", [rows], stated)]
         )
         assert abs(said.estimates.interval("d").sigma / sigma - 1) < 0.15
 
@@ -151,8 +146,8 @@ def test_runs_with_numbers_of_their_own():
     r = [rng.normal(size=M), rng.normal(size=M)]
     own = [np.array([0, 1, 2]), np.array([0, 1, 3])]
     slopes = np.stack([T, np.sin(5 * T), np.ones(M)], 1)
-    rows = [ResidualRows(slopes, r[k], np.ones(M, bool), np.arange(M), own[k]) for k in (0, 1)]
-    said = fit_statistics(["b", "c", "a0", "a1"], np.zeros(4), [ResidualColumn("y[0]", rows, True)])
+    rows = [FitRows(slopes, r[k], np.ones(M, bool), np.arange(M), own[k]) for k in (0, 1)]
+    said = fit_statistics(["b", "c", "a0", "a1"], np.zeros(4), [FitColumn("y[0]", rows, True)])
     whole = np.zeros((2 * M, 4))
     for k in (0, 1):
         whole[k * M : (k + 1) * M, own[k]] = slopes
@@ -177,7 +172,7 @@ def test_a_basis_stands_for_the_expanded_derivatives():
                 [column] = columns(r[c], slopes[c] @ bases[c] if whole else slopes[c], huber)
                 rows = column.runs[0]._replace(which=which)
                 rows = rows if whole else rows._replace(basis=bases[c])
-                made.append(ResidualColumn(f"y[{c}]", [rows], True))
+                made.append(FitColumn(f"y[{c}]", [rows], True))
             said.append(fit_statistics(NAMES, x, made))
         J = np.concatenate([s @ b for s, b in zip(slopes, bases, strict=True)])
         said.append(fit_statistics(NAMES, x, made, factor=np.linalg.qr(J, mode="r")))

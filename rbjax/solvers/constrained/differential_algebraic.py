@@ -66,7 +66,7 @@ SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
-class AlgebraicEquations:
+class DAE:
     """A system of differential-algebraic equations.
 
     Fields:
@@ -104,7 +104,7 @@ class StageProblem(NamedTuple):
     read: tuple  # closed-over values of f
 
 
-class StageSolution(NamedTuple):
+class StageRates(NamedTuple):
     """Solution of the stage equations.
 
     Fields:
@@ -119,13 +119,8 @@ class StageSolution(NamedTuple):
 
 
 def solve(
-    equations: AlgebraicEquations,
-    h: Any,
-    t: jax.Array,
-    y: jax.Array,
-    weights: MethodMatrix,
-    start: StepStart,
-) -> StageSolution:
+    equations: DAE, h: Any, t: jax.Array, y: jax.Array, weights: MethodMatrix, start: StepStart
+) -> StageRates:
     """Solve the equations of the stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
@@ -149,12 +144,10 @@ def solve(
 
     found, _ = root(StageProblem(h, t, y, weights, start, free_diagonal, tuple(read)))
     x = found[:-1].reshape(s, -1)
-    return StageSolution(x[:, :n], x[:, n:], found[-1] > 0)
+    return StageRates(x[:, :n], x[:, n:], found[-1] > 0)
 
 
-def damp_error(
-    equations: AlgebraicEquations, gamma_h: Any, start: StepStart, raw: jax.Array
-) -> jax.Array:
+def damp_error(equations: DAE, gamma_h: Any, start: StepStart, raw: jax.Array) -> jax.Array:
     """Damp an error estimate `raw` (n,) of y by an implicit Euler step of the linearized equations.
     The step gamma h removes stiff parts and parts across the constraints."""
     start, free_diagonal = jax.lax.stop_gradient((start, equations.free_diagonal))

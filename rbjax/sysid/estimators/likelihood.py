@@ -36,7 +36,7 @@ from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.runs import make_run
 from rbjax.sysid.simulation.setup import Grid, Setup
 from rbjax.sysid.simulation.simulation_error import state_of_readings
-from rbjax.sysid.statistics.fit_statistics import ResidualColumn, ResidualRows
+from rbjax.sysid.statistics.fit_statistics import FitColumn, FitRows
 from rbjax.sysid.statistics.rank import triangle_of
 
 #: largest allowed distance of a sample from an instant of the grid, in periods
@@ -193,7 +193,7 @@ class Likelihood:
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
 
-    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[ResidualColumn]:
+    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[FitColumn]:
         """Compute the rows of the score by column, as input of `fit_statistics`.
 
         x is in units of `scale`. The equal rows (i, j) and (j, i) of the covariance are merged into
@@ -208,9 +208,9 @@ class Likelihood:
         place, which = np.arange(times), np.arange(self.size)
         found = []
 
-        def rows(k: int, c: int, double: float, at: np.ndarray) -> ResidualRows:
+        def rows(k: int, c: int, double: float, at: np.ndarray) -> FitRows:
             ones = np.ones(int(at.sum()))
-            return ResidualRows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
+            return FitRows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
 
         for c in range(m + m * m):
             i, j = divmod(c - m, m) if c >= m else (c, c)
@@ -218,7 +218,7 @@ class Likelihood:
                 continue
             double = np.sqrt(2.0) if i < j else 1.0
             both = arrived[:, :, i] & arrived[:, :, j]
-            found.append(ResidualColumn(
+            found.append(FitColumn(
                 f"row {i}" if c < m else f"variance {i},{j}",
                 [rows(k, c, double, both[k]) for k in range(runs)], True,
             ))  # fmt: skip

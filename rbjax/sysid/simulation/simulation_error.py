@@ -30,7 +30,7 @@ from rbjax.sysid.simulation.parallel_in_time import count_windows
 from rbjax.sysid.simulation.programs import get_cached
 from rbjax.sysid.simulation.runs import Run
 from rbjax.sysid.simulation.setup import Grid, Setup, SimulatedPath, read_sensor
-from rbjax.sysid.statistics.fit_statistics import ResidualColumn, ResidualRows
+from rbjax.sysid.statistics.fit_statistics import FitColumn, FitRows
 from rbjax.sysid.statistics.rank import triangle_of
 
 #: with loss="huber", the cost grows linearly above this residual in sigma
@@ -274,7 +274,7 @@ class SimulationError:
         least = rank_tolerance("unknown without effect", J.dtype) * J.max()
         return tuple(s for s, rows in self.rows_of(J).items() if not rows.max() > least)
 
-    def columns(self, x: np.ndarray, stated: Collection[str]) -> list[ResidualColumn]:
+    def columns(self, x: np.ndarray, stated: Collection[str]) -> list[FitColumn]:
         """Compute residuals and Jacobian at x by column, as input of `fit_statistics`.
 
         `stated` are the sensors with stated noise.
@@ -300,17 +300,15 @@ class SimulationError:
                         inside = np.abs(off) < HUBER
                         psi = np.where(inside, off, HUBER * np.sign(off))
                         J = J * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
-                    runs.append(
-                        ResidualRows(J, psi, inside, place[k][rows], which[k], bases[sensor][c])
-                    )
+                    runs.append(FitRows(J, psi, inside, place[k][rows], which[k], bases[sensor][c]))
                 if any(len(rows.psi) for rows in runs):
-                    found.append(ResidualColumn(f"{sensor}[{c}]", runs, sensor in stated))
+                    found.append(FitColumn(f"{sensor}[{c}]", runs, sensor in stated))
         priors, none = self.unknowns.prior_rows(x[:n]), np.zeros(0, int)
         if len(priors):
             J, ones = np.pad(priors[:, :n], ((0, 0), (0, l))), np.ones(len(priors))
-            rest = [ResidualRows(J[:0], none, none, none, at) for at in which[1:]]
-            first = ResidualRows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
-            found.append(ResidualColumn("prior", [first, *rest], True))
+            rest = [FitRows(J[:0], none, none, none, at) for at in which[1:]]
+            first = FitRows(J, priors[:, -1], ones, np.arange(len(priors)), which[0])
+            found.append(FitColumn("prior", [first, *rest], True))
         return found
 
     def _bases(self) -> dict[str, list[np.ndarray | None]]:

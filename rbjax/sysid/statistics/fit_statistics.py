@@ -36,7 +36,7 @@ SHORT = 20
 STEADY = 0.985
 
 
-class ResidualRows(NamedTuple):
+class FitRows(NamedTuple):
     """The rows of the least-squares problem from one column in one run.
 
     Fields:
@@ -62,11 +62,11 @@ class ResidualRows(NamedTuple):
         return self.J @ (own if self.basis is None else self.basis @ own)
 
 
-class ResidualColumn(NamedTuple):
+class FitColumn(NamedTuple):
     """All rows of one column. `stated` is True if its noise is stated."""
 
     name: str
-    runs: Sequence[ResidualRows]
+    runs: Sequence[FitRows]
     stated: bool
 
 
@@ -95,7 +95,7 @@ class FitStatistics:
 
 
 def fit_statistics(
-    names: Sequence[str], x: np.ndarray, columns: Sequence[ResidualColumn],
+    names: Sequence[str], x: np.ndarray, columns: Sequence[FitColumn],
     bounds: Mapping[str, tuple[float, float]] | None = None, factor: np.ndarray | None = None,
 ) -> FitStatistics:  # fmt: skip
     """Compute covariance and intervals of the estimates x (n,).
@@ -143,7 +143,7 @@ def fit_statistics(
     return FitStatistics(found, scale, int(counts.sum()), coloured, effective)
 
 
-def _slopes(columns: Sequence[ResidualColumn], shares: Sequence[float], n: int) -> np.ndarray:
+def _slopes(columns: Sequence[FitColumn], shares: Sequence[float], n: int) -> np.ndarray:
     """Compute the triangular R with R^T R = sum_c a_c J_c^T J_c over columns c.
 
     shares: a_c, the mean derivative of psi in each column.
@@ -151,7 +151,7 @@ def _slopes(columns: Sequence[ResidualColumn], shares: Sequence[float], n: int) 
     """
     parts = []
     for k in range(len(columns[0].runs)):
-        by_basis: dict[int, list[tuple[float, ResidualRows]]] = {}
+        by_basis: dict[int, list[tuple[float, FitRows]]] = {}
         for a, column in zip(shares, columns, strict=True):
             by_basis.setdefault(id(column.runs[k].basis), []).append((a, column.runs[k]))
         for run in by_basis.values():
@@ -172,7 +172,7 @@ def _mean(parts: Sequence[np.ndarray]) -> float:
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 
 
-def _test_whiteness(columns: Sequence[ResidualColumn]) -> tuple[tuple[str, ...], float]:
+def _test_whiteness(columns: Sequence[FitColumn]) -> tuple[tuple[str, ...], float]:
     """Test the residuals for correlation in time.
 
     Return the correlated columns, and the smallest share of independent samples among them.
@@ -187,9 +187,7 @@ def _test_whiteness(columns: Sequence[ResidualColumn]) -> tuple[tuple[str, ...],
     return names, min((w.effective_samples / m for _, w, m in found), default=1.0)
 
 
-def _correlations(
-    columns: Sequence[ResidualColumn], hats: np.ndarray, counts: np.ndarray
-) -> np.ndarray:
+def _correlations(columns: Sequence[FitColumn], hats: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Estimate the correlation of successive noise samples, by column.
 
     The correlation of the residuals is smaller by at most (h + (h + 2) rho) / n, since the h
@@ -206,7 +204,7 @@ def _correlations(
 
 
 def _scores(
-    columns: Sequence[ResidualColumn], scaled: Sequence[Sequence[np.ndarray]], rho: np.ndarray
+    columns: Sequence[FitColumn], scaled: Sequence[Sequence[np.ndarray]], rho: np.ndarray
 ) -> list[np.ndarray]:
     """Compute the scores (samples, rank) of each run. Their sum over the samples is J^T psi.
 

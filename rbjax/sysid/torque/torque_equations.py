@@ -24,9 +24,9 @@ from rbjax.errors import InputError
 from rbjax.status import HasStatus, Status
 from rbjax.sysid.statistics.fit_statistics import (
     FEW,
+    FitColumn,
+    FitRows,
     FitStatistics,
-    ResidualColumn,
-    ResidualRows,
     fit_statistics,
 )
 from rbjax.sysid.statistics.rank import Combinations, combinations
@@ -328,7 +328,7 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
-        ResidualColumn(
+        FitColumn(
             f"channel {c}",
             [
                 _rows(eq.counted[a:b, c], X[a:b, c], psi[a:b, c], slope[a:b, c])
@@ -342,7 +342,7 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     return fit_statistics(names, np.zeros(len(names)), columns)
 
 
-def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> ResidualRows:
+def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> FitRows:
     """Select the rows of a channel in a recording that have a nonzero weight."""
     which = np.arange(X.shape[-1])
-    return ResidualRows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)
+    return FitRows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)
