@@ -36,9 +36,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rbjax as rb
+from rbjax.plotting import STYLE
 
 jax.config.update("jax_enable_x64", True)
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 
 # %% [markdown]
 # ## A file becomes a model

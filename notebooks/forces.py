@@ -22,7 +22,9 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import rbjax as rb
+from rbjax.plotting import STYLE
 
+plt.rcParams.update(STYLE)
 jax.config.update("jax_enable_x64", True)
 robot = rb.load("pendulum")
 start = robot.keyframe("horizontal")

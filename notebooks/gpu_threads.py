@@ -22,7 +22,9 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
 import rbjax as rb
+from rbjax.plotting import STYLE
 
+plt.rcParams.update(STYLE)
 model = rb.load("arm7")
 
 

@@ -24,8 +24,10 @@ import matplotlib.pyplot as plt
 
 import rbjax as rb
 from rbjax.lanes import Mat3, Vec3
+from rbjax.plotting import STYLE
 from rbjax.spatial import Transform
 
+plt.rcParams.update(STYLE)
 jax.config.update("jax_enable_x64", True)
 list(rb.joints.kinds())
 

@@ -24,7 +24,9 @@ import matplotlib.pyplot as plt
 
 import rbjax as rb
 from rbjax import constraints as rc
+from rbjax.plotting import STYLE
 
+plt.rcParams.update(STYLE)
 jax.config.update("jax_enable_x64", True)
 
 # %% [markdown]

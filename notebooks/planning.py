@@ -24,6 +24,9 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.planning import Controls, Footprint, OccupancyGrid
+from rbjax.plotting import STYLE
+
+plt.rcParams.update(STYLE)
 
 jax.config.update("jax_enable_x64", True)
 

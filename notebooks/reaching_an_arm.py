@@ -25,10 +25,10 @@ import matplotlib.pyplot as plt
 
 import rbjax as rb
 from rbjax.control import Control, Cost, Design, Point, Pose, Problem, Velocity, solve
-from rbjax.plotting import Camera, strobe
+from rbjax.plotting import STYLE, Camera, strobe
 
 jax.config.update("jax_enable_x64", True)
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 
 # %% [markdown]
 # ## Servos become motors

@@ -25,10 +25,10 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.control import cartesian_impedance, inverse_kinematics, operational_space
-from rbjax.plotting import Camera, strobe
+from rbjax.plotting import STYLE, Camera, strobe
 
 jax.config.update("jax_enable_x64", True)
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 
 # %% [markdown]
 # ## One pose

@@ -27,10 +27,10 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.control import Control, Cost, Problem, StateError, feedback, lqr_at, solve
-from rbjax.plotting import Camera, strobe
+from rbjax.plotting import STYLE, Camera, strobe
 
 jax.config.update("jax_enable_x64", True)
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 
 # %% [markdown]
 # ## The cart-pole

@@ -25,9 +25,10 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Pose, Problem, StateError, Velocity, solve
+from rbjax.plotting import STYLE
 
 jax.config.update("jax_enable_x64", True)
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 
 quad = rb.load("quadrotor")
 hover = quad.keyframe("hover")

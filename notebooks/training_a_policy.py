@@ -29,9 +29,9 @@ import numpy as np
 import optax
 
 import rbjax as rb
-from rbjax.plotting import Camera, strobe
+from rbjax.plotting import STYLE, Camera, strobe
 
-plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
+plt.rcParams.update(STYLE)
 DT, EPISODE = 0.02, 250
 
 # %% [markdown]

@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from docs.generate import repository
 from docs.generate.tutorials import notebooks
 from docs.generate.tutorials import pages as tutorials
 from tests.docs.pages import ROOT
@@ -70,5 +71,14 @@ def test_every_notebook_has_a_page_with_time_and_source():
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         page = found[f"tutorials/{path.stem}.md"]
         assert "Runs in " in page and "Runs in 0 s" not in page
-        assert f"tutorials/files/{path.stem}.py" in found and "colab.research.google.com" in page
+        assert f"tutorials/files/{path.stem}.py" in found
+        assert ("colab.research.google.com" in page) == bool(repository.address(ROOT))
         assert f"({path.stem}.md)" in found["tutorials/index.md"]
+
+
+def test_links_to_colab_follow_the_address_of_the_repository(tmp_path):
+    (tmp_path / "pyproject.toml").write_text(
+        '[project.urls]\nRepository = "https://github.com/someone/rbjax/"\n'
+    )
+    found = repository.colab(tmp_path, "notebooks/a.ipynb")
+    assert found.endswith("/github/someone/rbjax/blob/main/notebooks/a.ipynb")

@@ -72,11 +72,9 @@ def pages(root: Path) -> dict[str, str | bytes]:
 def page(notebook: Notebook, root: Path) -> str:
     """A notebook's page: title, time, where to open it, and the notebook."""
     name = notebook.name
-    links = (
-        f"[open as .py](files/{name}.py)",
-        f"[open as .ipynb](files/{name}.ipynb)",
-        f"[open in Colab]({repository.colab(root, f'notebooks/{name}.ipynb')})",
-    )
+    links = [f"[open as .py](files/{name}.py)", f"[open as .ipynb](files/{name}.ipynb)"]
+    if colab := repository.colab(root, f"notebooks/{name}.ipynb"):
+        links.append(f"[open in Colab]({colab})")
     runs = f"Runs in {lasts(notebook.seconds)} ({notebook.date}, two cores). Needs {needs(name)}."
     head = f"<small>{runs} {', '.join(links)}</small>"
     body = [
