@@ -25,6 +25,7 @@ from tests.public import designs
 from tests.public.beams import FLEXIBLE
 from tests.public.designs import RNG, state
 from tests.public.grid import Case, same
+from tests.public.transitions import ENVS
 from tests.robots import robot
 from tests.rotations import test_public as of_rotations
 from tests.wheeled import test_registry as of_wheels
@@ -254,4 +255,5 @@ TABLES: dict[str, dict[str, Case]] = {
     "sysid": designs.SYSID,
     "stability": designs.STABILITY,
     "flexible": FLEXIBLE,
+    "envs": ENVS,
 }
