@@ -116,7 +116,7 @@ def _classes() -> tuple[type, type]:
     """Return the classes of one sample and of a batch. Their base class is Brax's."""
     from brax.envs.base import Env, State
 
-    _give_replicated()
+    _adapt_trainers()
 
     class BraxEnv(Env):
         """One sample, without a reset within the step, as Brax's own wrappers expect it."""
@@ -272,11 +272,15 @@ def _classes() -> tuple[type, type]:
     return BraxEnv, BatchedBraxEnv
 
 
-def _give_replicated() -> None:
-    """Give Brax' trainers `jax.device_put_replicated`, which JAX 0.10 removed.
+def _adapt_trainers() -> None:
+    """Give Brax' trainers `jax.device_put_replicated`, which JAX 0.10 removed, and PPO an evaluator
+    that is compiled once.
 
-    Without it they raise an AttributeError (google/brax#671). JAX itself is not changed.
+    Without the first they raise an AttributeError (google/brax#671). JAX itself is not changed.
     """
+    ppo = vars(importlib.import_module("brax.training.agents.ppo.train"))
+    acting = ppo["acting"]
+    ppo["acting"] = types.SimpleNamespace(**vars(acting) | {"Evaluator": _evaluator(acting)})
     if hasattr(jax, "device_put_replicated"):
         return
 
@@ -290,13 +294,35 @@ def _give_replicated() -> None:
         vars(importlib.import_module(f"brax.training.{name}"))["jax"] = Jax("jax")
 
 
-def _replicated(tree: Any, devices: Any) -> Any:
-    """Return arrays with a leading axis, one copy on each device."""
+def _evaluator(acting: types.ModuleType) -> type:
+    """Return Brax' class `Evaluator` with the state of its episodes on a device from the beginning.
+
+    In Brax it is there after the first evaluation only, so that the second one is compiled again.
+    """
+
+    class Evaluator(acting.Evaluator):  # type: ignore[name-defined, misc]
+        def __init__(self, *given: Any, **named: Any):
+            super().__init__(*given, **named)
+            state = getattr(self, "_eval_state_to_donate", None)
+            self._eval_state_to_donate = jax.device_put(state, _sharding(jax.local_devices()[:1]))
+
+    return Evaluator
+
+
+def _sharding(devices: Any, *axes: str) -> Any:
     mesh = jax.sharding.Mesh(np.array(devices), ("i",))
-    sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("i"))
+    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes))
+
+
+def _replicated(tree: Any, devices: Any) -> Any:
+    """Return arrays with a leading axis, one copy on each device.
+
+    They have no weak types, which Brax removes after an epoch; it would compile once more.
+    """
 
     def leaf(x: Any) -> jax.Array:
         x = jnp.asarray(x)
-        return jax.device_put(jnp.broadcast_to(x, (len(devices), *x.shape)), sharding)
+        x = jnp.broadcast_to(x.astype(x.dtype), (len(devices), *x.shape))
+        return jax.device_put(x, _sharding(devices, "i"))
 
     return jax.tree.map(leaf, tree)

@@ -20,17 +20,18 @@ SMALL = {
 
 
 @pytest.mark.slow
-def test_the_policy_and_the_critic_are_those_of_brax():
+def test_the_policy_and_the_critic_are_those_of_brax(caplog):
     """A training of two reports with two groups of observations; the mean action and the value of
     Brax' networks, with its own parameters, and a report with the terms of the reward. Parameters
-    that are passed are used, in place of the curriculum: a reward of twice the weight."""
+    that are passed are used, in place of the curriculum: a reward of twice the weight. Three
+    evaluations are compiled once."""
     from brax.training.acme import running_statistics
     from brax.training.agents.ppo import networks
 
     seen, kept = [], {}
     groups = {"policy": (Observation("q", lambda to: to.after.q),),
               "critic": (Observation("state", observe),)}  # fmt: skip
-    with jax.enable_x64(False):
+    with jax.enable_x64(False), jax.log_compiles():
         env = environment(observations=groups, curriculum=lambda params, progress: params)
         params = env.default_params.replace(weights={"upright": jnp.asarray(2.0)})
         found = ppo(
@@ -51,6 +52,8 @@ def test_the_policy_and_the_critic_are_those_of_brax():
         V = made.value_network.apply(parameters[0], parameters[2], theirs)
         assert abs(convert_critic(parameters, "privileged_state", 0.5)(obs) - 0.5 * V) < 1e-6
     assert seen[0][0] == 0 and len(seen) == 3
+    compiled = [x for x in caplog.messages if x.startswith("Compiling jit(generate_eval_unroll)")]
+    assert len(compiled) == 1
     assert seen[1][0] < seen[2][0] >= 200
     assert {"reward", "reward_std", "length", "reward/upright"} <= set(seen[1][1])
     assert seen[0][1]["reward"] > 6 and seen[0][1]["failed"] == 0  # 5 with the weight of the task
