@@ -7,8 +7,9 @@ prints a line for each report and writes results/training-TASK-ALGORITHM-<device
 so that a run that is cut leaves what it reached; and with --out a folder with table.csv, chart.png
 and the checkpoint. f32. The clock starts before the environment is made. --goal stops the training
 at a reward of an episode. --set changes a setting: --set num_envs=4096. --option changes
-an option of the task: --option iterations=3; --train-option changes it for the training only, and
-not for the evaluation at the end.
+an option of the task: --option iterations=3. --judge names the task of the evaluation at the end,
+if it is another one: go1_joystick_flat for a policy of go1_joystick_smooth. "core_seconds" is the
+time of all cores of a CPU, which other processes do not lengthen much.
 """
 
 from __future__ import annotations
@@ -54,21 +55,21 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--option", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--train-option", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--judge", metavar="TASK")
     parser.add_argument("--episodes", type=int, default=256, help="of the last evaluation; 0: none")
     given = parser.parse_args()
     jax.numpy.zeros(1).block_until_ready()  # the device is awake
 
     learning = rb.envs.learning
     began = time.perf_counter()
-    options, own = literals(given.option), literals(given.train_option)
-    judge = rb.envs.make(given.task, **options)
-    env = rb.envs.make(given.task, **options, **own) if own else judge
+    options = literals(given.option)
+    env = rb.envs.make(given.task, **options)
+    judge = env if given.judge is None else rb.envs.make(given.judge)
     chosen = learning.settings(given.task, given.algorithm)
     chosen |= {} if given.steps is None else {"steps": given.steps}
     chosen |= literals(given.set)
     row: dict[str, Any] = {
-        "task": given.task, "options": options, "train_options": own,
+        "task": given.task, "options": options, "judge": given.judge or given.task,
         "algorithm": given.algorithm, "seed": given.seed, "devices": given.devices,
         "settings": chosen, "made_s": time.perf_counter() - began,
     }  # fmt: skip
@@ -82,6 +83,7 @@ def main() -> None:
             last["policy"] = policy
             keep = [{k: x for k, x in r.items() if k in COLUMNS} for r in monitor.rows]
             row.update(seconds=time.perf_counter() - began, steps=steps, curve=keep)
+            row["core_seconds"] = time.process_time()
             save(name, [row])
             if given.out is not None and policy is not None:
                 learning.save_policy(given.out, policy, given.task, options, chosen)

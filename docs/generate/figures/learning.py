@@ -5,7 +5,7 @@ from __future__ import annotations
 from docs.generate import measured
 from docs.generate.figures.kinds import Figure, Number, Ratio
 
-H100 = "nvidia-h100-80gb-hbm3"
+H100, H200, CPU = "nvidia-h100-80gb-hbm3", "nvidia-h200", "amd-epyc"
 
 
 def _rate(task: str, what: str = "step") -> Number:
@@ -21,6 +21,14 @@ def _steps(algorithm: str) -> Number:
         return min(report["steps"] for report in row["curve"] if report["reward"] >= 800)
 
     return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first)
+
+
+def _trained(task: str, algorithm: str, device: str, column: str = "return") -> Number:
+    """A column of a training or of the evaluation after it. "steps" is in millions."""
+    file = f"training-{task}-{algorithm}-{device}"
+    if column != "return":
+        return Number(file, column, scale=1e-6 if column == "steps" else 1.0)
+    return Number(file, lambda row: row["evaluation"]["return"])
 
 
 def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:
@@ -40,6 +48,14 @@ FIGURES: dict[str, Figure] = {
         _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
     ),
     "training.steps-ratio": Ratio(_steps("ppo"), _steps("shac"), 2),
+    "training.hopper.shac": _trained("hopper-run", "shac", H200),
+    "training.hopper.shac.steps": _trained("hopper-run", "shac", H200, "steps"),
+    "training.hopper.ppo": _trained("hopper-run", "ppo", H200),
+    "training.hopper.ppo.steps": _trained("hopper-run", "ppo", H200, "steps"),
+    "training.go1.shac": _trained("go1-joystick-smooth", "shac", CPU),
+    "training.go1.shac.steps": _trained("go1-joystick-smooth", "shac", CPU, "steps"),
+    "training.go1.shac.core-seconds": _trained("go1-joystick-smooth", "shac", CPU, "core_seconds"),
+    "training.go1.ppo": _trained("go1-joystick-flat", "ppo", H100),
     "policy.go1": _policy("go1_joystick_flat", "", "rbjax"),
     "policy.go1.mujoco": _policy("go1_joystick_flat", "", "MuJoCo C"),
     "policy.g1": _policy("g1_joystick", RANDOMISED, "rbjax"),

@@ -35,6 +35,7 @@ TABLES = {
             C(lambda row: _last(row)["return"], "return"),
             C(lambda row: _last(row)["std"], "its standard deviation", 2),
             C(lambda row: _last(row)["episodes"], "episodes"),
+            C(lambda row: row.get("judge") or row["task"], "of the task"),
         ),
     ),
     "policies": Table(
@@ -52,15 +53,6 @@ TABLES = {
         "python -m benchmarks.envs.policies FOLDER",
         sort=lambda row: (row["task"], row["trained with"], row["options"], row["physics"]),
         optional=True,
-    ),
-    "settings of SHAC": Table(
-        ("shac-settings-*",),
-        (
-            C("task"),
-            C(lambda row: ", ".join(f"{n} {x:g}" for n, x in row["settings"].items()), "changes"),
-            C(lambda row: row["curve"][-1]["steps"], "steps"),
-            C("return"),
-        ),
     ),
     "training on several GPUs": Table(
         ("gpu-devices-*",),

@@ -106,8 +106,7 @@ def shac(
             units of the reward of a step: the sum of the rewards times 1 - g.
         gradient_limit: limit of the norm of the gradient of a sample with respect to its state and
             action, in each step of the horizon, relative to an equal share of the objective; None
-            for none. A low limit changes the direction of the gradient: with it a Go1 learned to
-            fall.
+            for none. A low limit changes the direction of the gradient.
         hidden: sizes of the hidden layers of a new policy and a new critic.
         std: noise of a new policy, the standard deviation before tanh; None for no noise.
         optimiser: an optax transformation for the policy; if None, Adam (0.7, 0.95) with gradients

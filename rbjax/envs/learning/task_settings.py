@@ -66,12 +66,10 @@ CART_POLE_SHAC = {
     "hidden": (32, 16),
 }  # fmt: skip
 
-#: of Go1 with the option `smooth`
-GO1_SHAC = {
-    "steps": 8_000_000, "batch": 256, "discount": 0.98, "rate": 1e-3, "critic_rate": 1e-3,
-    "target_rate": 0.8, "std": 0.2, "reward_scale": 30.0,
+GO1_SMOOTH_SHAC = {
+    "steps": 3_000_000, "batch": 64, "rate": 2e-3, "critic_rate": 1e-3, "target_rate": 0.8,
+    "std": 0.37, "hidden": (128, 64, 32),
 }  # fmt: skip
-GO1_SHAC_CPU = {"steps": 3_000_000, "batch": 64}
 #: of the hopper of Xu et al. 2022, whose policy network, its rate and `target_rate` these are
 HOPPER_RUN_SHAC = {
     "steps": 2_000_000, "batch": 64, "rate": 2e-3, "critic_rate": 1e-3, "target_rate": 0.8,
@@ -89,9 +87,10 @@ LEGS_SHAC = {
 TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
     "cart_pole_balance": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
     "cart_pole_swing_up": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
-    "go1_joystick_flat": {"ppo": GO1, "shac": GO1_SHAC, "shac cpu": GO1_SHAC_CPU},
-    "go1_joystick_rough": {"ppo": GO1, "shac": GO1_SHAC},
-    "g1_joystick": {"ppo": G1, "shac": GO1_SHAC},
+    "go1_joystick_flat": {"ppo": GO1, "shac": LEGS_SHAC},
+    "go1_joystick_rough": {"ppo": GO1, "shac": LEGS_SHAC},
+    "go1_joystick_smooth": {"ppo": GO1, "shac": GO1_SMOOTH_SHAC, "shac cpu": {}},
+    "g1_joystick": {"ppo": G1, "shac": LEGS_SHAC},
     "panda_pick_cube": {"ppo": PANDA},
     **{f"hopper_{name}": {"ppo": CONTROL_SUITE, "shac": LEGS_SHAC} for name in ("stand", "hop")},
     "hopper_run": {

@@ -9,18 +9,11 @@ The numbers are those of MuJoCo Playground's Go1JoystickFlatTerrain and Go1Joyst
     - a foot touches if its sphere overlaps the floor
     - each contact problem is solved to convergence; Playground does one Newton step
 
-A learner by gradients does not see rewards without a slope, and the slope of sqrt(|v_xy|) of a
-resting foot is infinite. With the option `smooth`, for the training of such a learner,
-
-    - the reward is dt times the sum of the terms plus 1, also below zero
-    - "distance" is |v - v_command| + |w_z - w_command| / 2, with a slope far from the command, too
-    - "feet_clearance" and "feet_height" are left out
-    - an episode also ends if z_z of the IMU is below 0.6, or the trunk below 0.15 m
+A learner by gradients needs the rewards of `go1_joystick_smooth`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -34,7 +27,7 @@ from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
 from rbjax.envs.suite.legged import noise_free
-from rbjax.envs.task import Observation, Randomisation, Reward, Task, sum_of_rewards
+from rbjax.envs.task import Observation, Randomisation, Reward, Task
 from rbjax.envs.terrain import rough_ground
 from rbjax.loading import load
 from rbjax.model import Model, State
@@ -60,7 +53,6 @@ def go1_joystick_flat(
     pushes: bool = False,
     randomise: bool = False,
     iterations: int | None = None,
-    smooth: bool = False,
 ) -> Task:
     """A Go1 follows a velocity command on a flat floor.
 
@@ -68,7 +60,6 @@ def go1_joystick_flat(
         pushes: whether forces push the robot (`params.values["push_speed"]`, m/s).
         randomise: whether friction, masses and the like are drawn at each reset.
         iterations: most Newton steps of a contact problem; None: to convergence, 3 to 4 on average.
-        smooth: whether the rewards are those for a training by gradients.
 
     Source: Zakka et al., *MuJoCo Playground*, 2025.
 
@@ -79,8 +70,7 @@ def go1_joystick_flat(
         (12, 5)
     """
     model = load(robot_file("go1"))
-    task = _task("go1_joystick_flat", model, HEIGHT, pushes, randomise, iterations)
-    return _smooth(task) if smooth else task
+    return _task("go1_joystick_flat", model, HEIGHT, pushes, randomise, iterations)
 
 
 @register("go1_joystick_rough")
@@ -136,28 +126,6 @@ def _task(
         values=_values(pushes), total_reward=terms.clipped_sum(0.0, 1e4, times_dt=True),
         tracked=BODY,
     )  # fmt: skip
-
-
-def _smooth(task: Task) -> Task:
-    """Return the task with the rewards and terminations of a training by gradients."""
-    left_out = ("feet_clearance", "feet_height")
-    rewards = [r for r in task.rewards if r.name not in left_out]
-    rewards += [Reward("distance", distance, -0.7), Reward("alive", lambda transition: 1.0)]
-    ends = {
-        "fallen": terms.fallen(IMU, 0.6),
-        "low": lambda transition: transition.after.body(BODY).position[2] < 0.15,
-    }
-    return dataclasses.replace(
-        task, rewards=tuple(rewards), terminations=ends, total_reward=sum_of_rewards
-    )
-
-
-def distance(transition: Any) -> jax.Array:
-    """Return |v - v_command| + |w_z - w_command| / 2 in axes of the IMU, rounded off at 0.1."""
-    command = transition.variables["command"]
-    off = _VELOCITY(transition.after)[:2] - command[:2]
-    turn = _GYRO(transition.after)[2] - command[2]
-    return jnp.sqrt((off**2).sum() + 0.01) + 0.5 * jnp.sqrt(turn**2 + 0.01)
 
 
 def start(height: float) -> Any:

@@ -169,7 +169,7 @@ def test_settings_fit_the_learners():
             assert set(found) <= set(inspect.signature(shac).parameters)
     for task in (*rb.envs.tasks(), None):  # a CPU has few samples
         assert settings(task, "ppo", "cpu")["num_envs"] == 64
-        if task in ("go1_joystick_flat", "hopper_run"):  # have measured settings of a CPU
+        if task in ("go1_joystick_smooth", "hopper_run"):  # have measured settings of a CPU
             assert settings(task, "shac", "cpu")["batch"] == 64
             continue
         on_gpu, on_cpu = (settings(task, "shac", backend) for backend in ("gpu", "cpu"))
