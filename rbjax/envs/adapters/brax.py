@@ -300,7 +300,7 @@ def _evaluator(acting: types.ModuleType) -> type:
     In Brax it is there after the first evaluation only, so that the second one is compiled again.
     """
 
-    class Evaluator(acting.Evaluator):  # type: ignore[name-defined, misc]
+    class Evaluator(acting.Evaluator):  # type: ignore[name-defined]
         def __init__(self, *given: Any, **named: Any):
             super().__init__(*given, **named)
             state = getattr(self, "_eval_state_to_donate", None)
