@@ -1,5 +1,6 @@
 """The charts of the benchmark pages, by the names of their files."""
 
+from docs.generate.figures import FIGURES
 from docs.generate.subjects.bars import Bars, Dots
 
 NAMES = {"panda": "Panda, 7 dof", "humanoid": "humanoid, 23 dof", "g1": "G1, 35 dof"}
@@ -18,6 +19,13 @@ def against_mjx(part: str) -> dict[str, dict[str, str]]:
     }
 
 
+def on_the_floor(robot: str) -> dict[str, str]:
+    rate = f"gpu.contact.{robot}"
+    out = {"rbjax": f"{rate}.rollout", "MuJoCo Warp": f"{rate}.warp", "MJX": f"{rate}.mjx"}
+    out["rbjax without contacts"] = f"{rate}.free"
+    return {series: name for series, name in out.items() if name in FIGURES}
+
+
 CHARTS = {
     "forward_dynamics.svg": Bars(
         "Forward dynamics on an H200, f32", "million a second", against_mjx("forward")
@@ -31,15 +39,9 @@ CHARTS = {
         against_mjx("gradient"),
     ),
     "contact.svg": Bars(
-        "Steps of robots on the floor on an H100, f32",
+        "Steps of robots on the floor on an H200, f32",
         "million a second",
-        {
-            title: {
-                "with contacts": f"gpu.contact.{robot}.rollout",
-                "without": f"gpu.contact.{robot}.free",
-            }
-            for robot, title in STANDING.items()
-        },
+        {title: on_the_floor(robot) for robot, title in STANDING.items()},
     ),
     "one_core.svg": Bars(
         "Forward dynamics of a sample of a batch on one core, f64",
