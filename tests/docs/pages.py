@@ -18,12 +18,12 @@ def name(page: Path) -> str:
 
 
 def blocks(text: str) -> list[str]:
-    """Blocks of Python that run: fenced as "python", without ".no-run"."""
-    return [
-        code
-        for _, info, code in FENCE.findall(text)
-        if info.split("{")[0].strip() == "python" and ".no-run" not in info
-    ]
+    """Blocks of Python that run with the others: fenced as "python", without ".slow"."""
+    return [code for _, info, code in FENCE.findall(text) if is_program(info)]
+
+
+def is_program(info: str) -> bool:
+    return info.split("{")[0].strip() == "python" and ".slow" not in info
 
 
 def programs(text: str) -> list[tuple[str, str | None]]:
@@ -34,7 +34,7 @@ def programs(text: str) -> list[tuple[str, str | None]]:
         _, info, code = match.groups()
         if info.strip() == "text" and found and not text[end : match.start()].strip():
             found[-1] = (found[-1][0], code)
-        elif info.split("{")[0].strip() == "python" and ".no-run" not in info:
+        elif is_program(info):
             found.append((code, None))
         end = match.end()
     return found

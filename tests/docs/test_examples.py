@@ -11,7 +11,7 @@ import re
 import matplotlib
 import pytest
 
-from tests.docs.pages import PAGES, blocks, name, programs
+from tests.docs.pages import FENCE, PAGES, blocks, name, programs
 
 RUN = [page for page in PAGES if blocks(page.read_text())]
 #: pages whose programs other tests run
@@ -52,6 +52,16 @@ def test_examples_run(page, tmp_path, monkeypatch):
                 if not line.startswith("Failed to import")  # MJX without warp
             )
             assert same(printed, shown or ""), f"the page says:\n{shown}\nit prints:\n{printed}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in PAGES if "{.slow}" in p.read_text()], ids=name)
+def test_long_blocks_run(page, tmp_path, monkeypatch):
+    """Blocks of a minute, each by itself."""
+    monkeypatch.chdir(tmp_path)
+    for _, info, code in FENCE.findall(page.read_text()):
+        if ".slow" in info:
+            exec(compile(code, name(page), "exec"), {"__name__": "page"})
 
 
 def test_numbers_are_compared():

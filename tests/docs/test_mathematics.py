@@ -39,7 +39,7 @@ def test_brackets_after_a_line_break_are_no_length():
 def test_names_become_links_and_blocks_lose_their_marks():
     links = {"rbjax.rollout": "rbjax.rollout"}
     text = "# `rb.rollout`\n\nUse `rb.rollout` or [`rb.rollout`](x.md).\n\n"
-    text += "```python {.no-run}\n1\n```\n"
+    text += "```python {.slow}\n1\n```\n"
     found = convert(text, links)
     assert found.count("[`rb.rollout`][rbjax.rollout]") == 1 and "```python\n" in found
 
