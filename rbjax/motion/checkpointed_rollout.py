@@ -117,7 +117,7 @@ class CheckpointedRollout:
         states = [jnp.concatenate([x[None], y]) for x, y in zip(state, after, strict=True)]
         return (
             states,
-            [x.reshape(-1, *x.shape[2:]) for x in before],
+            [x.reshape(saved * kept, *x.shape[2:]) for x in before],
             [x.reshape(self.steps, -1) for x in left],
         )
 

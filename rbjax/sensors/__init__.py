@@ -20,7 +20,6 @@ from rbjax.sensors.bodies import (
     SubtreeCenter,
     SubtreeVelocity,
 )
-from rbjax.sensors.cameras import CameraProjection
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.contacts import ContactSensor
 from rbjax.sensors.frames import (
@@ -35,6 +34,9 @@ from rbjax.sensors.frames import (
     Pose,
     Position,
 )
+from rbjax.sensors.geometry.cameras import CameraProjection
+from rbjax.sensors.geometry.rangefinder import Rangefinder
+from rbjax.sensors.geometry.volumes import InsideSite, Touch, Volume
 from rbjax.sensors.inertial import (
     Accelerometer,
     ForceSensor,
@@ -62,9 +64,7 @@ from rbjax.sensors.limit_forces import JointLimitForce, TendonLimitForce
 from rbjax.sensors.model_sensors import sense
 from rbjax.sensors.named import ModelSensor, NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
-from rbjax.sensors.rangefinder import Rangefinder
 from rbjax.sensors.solution import Solution
-from rbjax.sensors.volumes import InsideSite, Touch, Volume
 
 __all__ = [
     "Accelerations",

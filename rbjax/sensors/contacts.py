@@ -26,9 +26,9 @@ from rbjax.lanes.arrays import matvec
 from rbjax.model import WORLD, Frame, Model
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.fixed import AXES, FixedSensor
+from rbjax.sensors.geometry.volumes import Volume
 from rbjax.sensors.protocol import register
 from rbjax.sensors.solution import solution_of
-from rbjax.sensors.volumes import Volume
 
 _IN_AXES = ("n", "t1", "t2")
 #: data of a contact sensor -> names of its values and their unit, in MuJoCo's order

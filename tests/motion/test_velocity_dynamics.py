@@ -50,6 +50,23 @@ def test_a_mass_comes_to_rest_on_the_floor(kernel):
     np.testing.assert_allclose(path.memory[-1], [3 * 9.81 * DT, 9.81 * DT], rtol=1e-7)
 
 
+class Free:
+    """Free motion as a velocity dynamics without memory."""
+
+    def initial_memory(self, model):
+        return jnp.zeros(0)
+
+    def advance_velocity(self, model, t, state, tau, f_ext, dt):
+        return state.v + dt * free_motion(model, t, state, tau, f_ext), state.memory
+
+
+def test_a_memory_may_be_empty():
+    model = rb.load(XML)
+    path = rb.rollout(model, dropped(), None, DT, steps=5, dynamics=Free())
+    expected = rb.rollout(model, dropped(), None, DT, steps=5)
+    np.testing.assert_allclose(path.q, expected.q, atol=1e-12)  # rounding
+
+
 def test_the_memory_starts_the_next_step():
     """At rest one sweep from the impulses of the last step suffices; from zero it does not."""
     model = rb.load(XML)

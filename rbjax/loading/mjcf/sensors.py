@@ -23,8 +23,8 @@ from rbjax.model import Frame
 from rbjax.sensors import NamedSensor, Volume
 from rbjax.sensors.contacts import DATA as CONTACT_DATA
 from rbjax.sensors.contacts import REDUCTIONS
-from rbjax.sensors.rangefinder import DATA
-from rbjax.sensors.rays import INTERSECTIONS
+from rbjax.sensors.geometry.rangefinder import DATA
+from rbjax.sensors.geometry.rays import INTERSECTIONS
 
 _OBJECT = SimpleNamespace(
     **{x.name[6:]: int(x) for x in map(mujoco.mjtObj, range(int(mujoco.mjtObj.mjNOBJECT)))}

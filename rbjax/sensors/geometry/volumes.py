@@ -21,8 +21,8 @@ from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.model.leaves import frame_transform
 from rbjax.sensors.fixed import FrameSensor, named_frame, reading
+from rbjax.sensors.geometry.rays import INTERSECTIONS
 from rbjax.sensors.protocol import register
-from rbjax.sensors.rays import INTERSECTIONS
 from rbjax.sensors.solution import solution_of
 
 

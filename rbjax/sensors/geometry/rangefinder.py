@@ -17,8 +17,8 @@ from rbjax.model import Model
 from rbjax.model.leaves import frame_transform
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.fixed import AXES, FrameSensor, named_frame, reading
+from rbjax.sensors.geometry.rays import INTERSECTIONS
 from rbjax.sensors.protocol import register
-from rbjax.sensors.rays import INTERSECTIONS
 
 #: data of a rangefinder -> names of its values, in MuJoCo's order
 DATA = {
