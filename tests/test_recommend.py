@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import rbjax as rb
 from rbjax import stability
+from rbjax.recommend import solvers
 
 slow = pytest.mark.slow
 TS = np.linspace(0.0, 1.0, 24)  # not the times that it was chosen at
@@ -139,3 +140,8 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
     ):
         with pytest.raises(rb.InputError, match=words):
             rb.recommend.solver(model, start, accuracy)
+
+
+def test_a_candidate_without_an_accurate_step() -> None:
+    found = solvers._trial("rk4", None)
+    assert not found.success and np.isinf(found.cost)
