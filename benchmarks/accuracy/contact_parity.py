@@ -40,7 +40,7 @@ CUBE = """<mujoco><option cone="elliptic" impratio="10"/>
   <default><geom solref=".01" solimp=".99 .995 .01"/></default><worldbody>
   <geom type="plane" size="0 0 1"/><body pos=".5 .3 .05" quat=".9 .2 .1 .3"><freejoint/>
   <geom type="box" size=".02 .02 .03" mass=".1"/></body></worldbody></mujoco>"""
-STEPS, TRIALS = 300, 6
+STEPS, TRIALS = 1000, 6
 
 
 def reference(name: str) -> mujoco.MjModel:
