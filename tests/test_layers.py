@@ -55,6 +55,15 @@ FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose h
 STOREYS = {
     "stability/theory/": ("rbjax.stability.runs",),
     **{
+        f"contact/{folder}/": tuple(f"rbjax.contact.{name}" for name in above.split())
+        for folder, above in {
+            "geometry": "rows problem solver impacts soft coulomb compliant registry",
+            "rows": "problem solver impacts soft coulomb compliant registry",
+            "problem": "solver impacts soft coulomb compliant registry",
+            "solver": "impacts soft coulomb compliant registry",
+        }.items()
+    },
+    **{
         f"compiler/{folder}/": tuple(f"rbjax.compiler.{name}" for name in above.split())
         for folder, above in {
             "ir": "passes lower cuda llvm jax",

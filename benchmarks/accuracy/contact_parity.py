@@ -28,9 +28,9 @@ import numpy as np
 import rbjax as rb
 from benchmarks.cases.standing import on_floor, random_controls
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.newton import factorize_at, solve
+from rbjax.contact.problem.assemble import Assembly
 from rbjax.contact.soft import SoftContact, detected
+from rbjax.contact.solver.newton import factorize_at, solve
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import pack
 from rbjax.motion.field import Field

@@ -11,7 +11,6 @@
 """
 
 from rbjax.contact.compliant import CompliantContact
-from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.contact_solution import solve
 from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
@@ -19,7 +18,8 @@ from rbjax.contact.impacts.impulses import Impulse, impulse
 from rbjax.contact.impacts.moreau import MoreauContact
 from rbjax.contact.registry import laws
 from rbjax.contact.soft import SoftContact
-from rbjax.contact.solution import ContactSolution
+from rbjax.contact.solver.contact_forces import ContactForces
+from rbjax.contact.solver.solution import ContactSolution
 
 __all__ = [
     "CompliantContact",

@@ -6,7 +6,7 @@ from typing import Any
 
 from rbjax.arguments import ArrayLike
 from rbjax.contact.registry import law_of
-from rbjax.contact.solution import ContactSolution
+from rbjax.contact.solver.solution import ContactSolution
 from rbjax.dynamics.arguments import check_model, check_moves
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.acting import applied

@@ -19,18 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer, real_number
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_forces import geoms_of_rows, rows_in_use, rows_of_slots
-from rbjax.contact.contact_rows import Slots
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.in_use import InUse, wrenches_in_use
-from rbjax.contact.latched_disc import DiscSet, memory_width
-from rbjax.contact.newton import ITERATIONS, Solution, check_iterations, factorize_at, solve
 from rbjax.contact.parameters import pair_parameters
-from rbjax.contact.problem import Problem
+from rbjax.contact.problem.assemble import Assembly
+from rbjax.contact.problem.contact_rows import Slots
+from rbjax.contact.problem.in_use import InUse, wrenches_in_use
+from rbjax.contact.problem.latched_disc import DiscSet, memory_width
+from rbjax.contact.problem.problem import Problem
 from rbjax.contact.soft import SoftContact
-from rbjax.contact.solution import (
+from rbjax.contact.solver.contact_forces import geoms_of_rows, rows_in_use, rows_of_slots
+from rbjax.contact.solver.newton import ITERATIONS, Solution, check_iterations, factorize_at, solve
+from rbjax.contact.solver.solution import (
     ContactSolution,
     SolutionArrays,
     sources_of_rows,

@@ -11,14 +11,16 @@ from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.arguments import real_number
 from rbjax.compiler import threads
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_forces import (
+from rbjax.contact.problem.assemble import Assembly
+from rbjax.contact.problem.in_use import InUse
+from rbjax.contact.problem.problem import Problem
+from rbjax.contact.rows.equality_rows import check_soft
+from rbjax.contact.solver.contact_forces import (
     geoms_of_rows,
     rows_in_use,
     rows_of_slots,
 )
-from rbjax.contact.in_use import InUse
-from rbjax.contact.newton import (
+from rbjax.contact.solver.newton import (
     ITERATIONS,
     Solution,
     check_iterations,
@@ -26,9 +28,7 @@ from rbjax.contact.newton import (
     solve,
     tolerance_of,
 )
-from rbjax.contact.problem import Problem
-from rbjax.contact.rows.equality_rows import check_soft
-from rbjax.contact.solution import (
+from rbjax.contact.solver.solution import (
     ContactSolution,
     SolutionArrays,
     sources_of_rows,

@@ -1,6 +1,6 @@
 """Ideal sensors of a robot: functions from the state of motion to measured values."""
 
-from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.solver.contact_forces import ContactForces
 from rbjax.forces.context import Context
 from rbjax.sensors.actuators import (
     ActuatorForce,

@@ -9,7 +9,7 @@ sum of gear f of its actuators less the force of its spring and damper.
 
 from __future__ import annotations
 
-from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.solver.contact_forces import ContactForces
 from rbjax.forces.context import Context
 from rbjax.forces.tendons.paths import tendon_pieces
 from rbjax.forces.tendons.springs import spring_forces

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import integer
-from rbjax.contact.contact_forces import ContactForces
+from rbjax.contact.solver.contact_forces import ContactForces
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3, safe_sqrt

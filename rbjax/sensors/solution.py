@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.reactions import body_reactions
-from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.registry import Law
 from rbjax.contact.rows.scalar_row import EQUALITY
-from rbjax.contact.solution import ContactSolution
+from rbjax.contact.solver.contact_forces import ContactForces
+from rbjax.contact.solver.solution import ContactSolution
 from rbjax.forces.context import Context
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import Vec3, fusion_barrier

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.newton import solve
-from rbjax.contact.problem import Tree
+from rbjax.contact.problem.articulated import ArticulatedTree
+from rbjax.contact.problem.problem import Tree
 from rbjax.contact.soft import detected
+from rbjax.contact.solver.newton import solve
 
 ARMS = """
 <mujoco><option timestep="0.002" cone="{cone}"><flag eulerdamp="disable"/></option>

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.contact_forces import rows_in_use
-from rbjax.contact.in_use import InUse, wrenches_in_use
-from rbjax.contact.problem import Problem
+from rbjax.contact.problem.assemble import Assembly
+from rbjax.contact.problem.in_use import InUse, wrenches_in_use
+from rbjax.contact.problem.problem import Problem
+from rbjax.contact.solver.contact_forces import rows_in_use
 from rbjax.model import State
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 

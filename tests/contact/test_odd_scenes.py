@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.newton import solve, tolerance_of
 from rbjax.contact.soft import detected
+from rbjax.contact.solver.newton import solve, tolerance_of
 from rbjax.model import State
 from tests.tolerances import F64_PARITY, relative_error
 

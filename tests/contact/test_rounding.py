@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax.contact import newton
+from rbjax.contact.solver import newton
 from rbjax.forces.inputs import Inputs
 from rbjax.motion.field import Field, dynamics_of, free_motion
 

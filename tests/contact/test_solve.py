@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.newton import tolerance_of
+from rbjax.contact.solver.newton import tolerance_of
 from rbjax.model import State
 from tests.contact.test_soft import BOX, PILE, compiled, resting
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error

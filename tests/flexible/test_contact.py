@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.assemble import Assembly
-from rbjax.contact.problem import relative_axes
+from rbjax.contact.problem.assemble import Assembly
+from rbjax.contact.problem.problem import relative_axes
 from rbjax.lanes import unpack
 from tests.flexible.beams import random_state, round_beam
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.solution import with_rule_of
+from rbjax.contact.solver.solution import with_rule_of
 from rbjax.lanes.arrays import matmat, matrix_transpose, matvec
 
 

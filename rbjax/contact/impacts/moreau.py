@@ -28,7 +28,6 @@ from rbjax.constraints.equations.constrained_motion import constrained_motion
 from rbjax.constraints.formulation import formulation_of
 from rbjax.constraints.methods.soft import compliant_motion
 from rbjax.constraints.rows.soft import is_soft
-from rbjax.contact.contact_forces import ContactForces
 from rbjax.contact.geometry.detection import Contacts, contacts_at
 from rbjax.contact.impacts.impulse_equations import (
     ImpulseProblem,
@@ -39,7 +38,8 @@ from rbjax.contact.impacts.impulses import check_coefficients, check_pairs, impa
 from rbjax.contact.impacts.joint_rows import count_joint_rows, joint_rows, joint_sources
 from rbjax.contact.impacts.time_of_impact import Touchdown, end_of_slip, touchdown
 from rbjax.contact.rows.scalar_row import EQUALITY, FRICTION, LIMIT
-from rbjax.contact.solution import ContactSolution
+from rbjax.contact.solver.contact_forces import ContactForces
+from rbjax.contact.solver.solution import ContactSolution
 from rbjax.dynamics.algorithms import aba
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_model

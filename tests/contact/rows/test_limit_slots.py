@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.contact.assemble import Assembly
+from rbjax.contact.problem.assemble import Assembly
 from rbjax.contact.rows.limit_slots import JointLimits
 from tests.tolerances import F64_PARITY
 

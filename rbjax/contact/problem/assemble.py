@@ -10,19 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler import kernels_available
-from rbjax.contact.articulated import ArticulatedTree
-from rbjax.contact.contact_rows import ContactSet
 from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.shapes import geom_shape
 from rbjax.contact.parameters import pair_parameters
-from rbjax.contact.problem import Problem, Tree, relative_axes, stacked
+from rbjax.contact.problem.articulated import ArticulatedTree
+from rbjax.contact.problem.contact_rows import ContactSet
+from rbjax.contact.problem.problem import Problem, Tree, relative_axes, stacked
+from rbjax.contact.problem.world import World
 from rbjax.contact.rows.dof_rows import friction_rows, limit_rows
 from rbjax.contact.rows.equality_rows import equality_rows
 from rbjax.contact.rows.limit_slots import JointLimits
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.contact.rows.tendon_rows import tendon_rows
-from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.crba import mass_matrix_rows
 from rbjax.dynamics.algorithms.energy import Entries, product
 from rbjax.dynamics.algorithms.kinematics import POSE, TWIST, dof_axes, sweep

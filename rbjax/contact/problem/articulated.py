@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import Stiff, stacked
+from rbjax.contact.problem.problem import Stiff, stacked
 from rbjax.dynamics.algorithms.aba import (
     accelerated,
     eliminated,

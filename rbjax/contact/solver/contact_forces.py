@@ -13,11 +13,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.contact_rows import ContactSet, Slots, place_of
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.in_use import InUse, wrenches_in_use
-from rbjax.contact.newton import Solution
-from rbjax.contact.problem import Problem
+from rbjax.contact.problem.contact_rows import ContactSet, Slots, place_of
+from rbjax.contact.problem.in_use import InUse, wrenches_in_use
+from rbjax.contact.problem.problem import Problem
+from rbjax.contact.solver.newton import Solution
 from rbjax.lanes import Lane, Vec3, pack
 from rbjax.model import Model
 from rbjax.model.record import Record

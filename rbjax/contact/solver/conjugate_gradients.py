@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.problem import Problem
+from rbjax.contact.problem.problem import Problem
 from rbjax.lanes import Lane, inner, mul, pack, total, unpack
 
 #: bytes of a number -> the norm of the residual at which the iteration ends, relative to b

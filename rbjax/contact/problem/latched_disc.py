@@ -28,10 +28,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.contact.cones import TINY, Response
-from rbjax.contact.contact_rows import ContactSet, Found, Row
 from rbjax.contact.geometry.shapes import Contact, contact_frame
-from rbjax.contact.world import World
+from rbjax.contact.problem.cones import TINY, Response
+from rbjax.contact.problem.contact_rows import ContactSet, Found, Row
+from rbjax.contact.problem.world import World
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
 from rbjax.spatial import Motion

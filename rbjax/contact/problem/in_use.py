@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiler.jax.turns import Rows, Turns
-from rbjax.contact.contact_rows import ContactSet, Found, entry
 from rbjax.contact.geometry.candidates import pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.world import World, shape_of
+from rbjax.contact.problem.contact_rows import ContactSet, Found, entry
+from rbjax.contact.problem.world import World, shape_of
 from rbjax.lanes import Lane, pack
 
 #: function (set, row, forces, residual) -> numbers of a contact to store

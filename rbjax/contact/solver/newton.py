@@ -39,8 +39,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer
-from rbjax.contact.conjugate_gradients import products, solve_direction, weighted_square
-from rbjax.contact.problem import Problem, Stiff, add_row
+from rbjax.contact.problem.problem import Problem, Stiff, add_row
+from rbjax.contact.solver.conjugate_gradients import products, solve_direction, weighted_square
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, unpack
 
 #: bytes of a number -> the relative gradient at which the iteration ends

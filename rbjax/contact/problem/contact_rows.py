@@ -20,14 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.contact.cones import Cone
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.contact.parameters import tangential_solref
+from rbjax.contact.problem.cones import Cone
+from rbjax.contact.problem.world import World, shape_of
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.contact.rows.options import Options
-from rbjax.contact.world import World, shape_of
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.contact.contact_forces import ContactForces, contact_forces
-from rbjax.contact.problem import Problem, add_row
+from rbjax.contact.problem.problem import Problem, add_row
 from rbjax.contact.rows.scalar_row import EQUALITY, FRICTION, LIMIT
+from rbjax.contact.solver.contact_forces import ContactForces, contact_forces
 from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.lanes import Lane, pack, sub, unpack
 from rbjax.model.record import Record

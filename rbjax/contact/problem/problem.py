@@ -22,12 +22,12 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
-from rbjax.contact.contact_rows import ContactSet, Slots
-from rbjax.contact.in_use import InUse, wrenches_in_use
-from rbjax.contact.latched_disc import DiscSet
+from rbjax.contact.problem.contact_rows import ContactSet, Slots
+from rbjax.contact.problem.in_use import InUse, wrenches_in_use
+from rbjax.contact.problem.latched_disc import DiscSet
+from rbjax.contact.problem.world import World
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.contact.world import World
 from rbjax.dynamics.algorithms.aba import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
