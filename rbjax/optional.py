@@ -27,6 +27,7 @@ EXTRAS = {
     "gymnax": ("gymnax", "envs"),
     "orbax": ("orbax-checkpoint", "envs"),
     "rsl_rl": ("rsl-rl-lib", "rsl"),
+    "tensordict": ("tensordict", "rsl"),
     "torch": ("torch", "rsl"),
 }
 

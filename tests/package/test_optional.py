@@ -36,7 +36,7 @@ def names(requirements: list[str]) -> set[str]:
 
 def test_extras_install_the_packages() -> None:
     dependencies = {
-        "rsl": {"torch"},  # by rsl-rl-lib
+        "rsl": {"torch", "tensordict"},  # by rsl-rl-lib
         "envs": {"orbax-checkpoint"},  # by brax
     }
     for name, extra in EXTRAS.values():

@@ -1,5 +1,8 @@
 """The rsl-rl adapter, with its runner. Without PyTorch (`rbjax[rsl]`, some hundred MB) it skips."""
 
+import sys
+from types import ModuleType
+
 import jax
 import numpy as np
 import pytest
@@ -23,8 +26,10 @@ def env():
     return environment(episode=30)
 
 
-def test_a_missing_package_is_told(env, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+@pytest.mark.parametrize("missing", ["torch", "tensordict", "rsl_rl"])
+def test_a_missing_package_is_told(env, monkeypatch, missing):
+    for name in ("torch", "tensordict", "rsl_rl"):
+        monkeypatch.setitem(sys.modules, name, None if name == missing else ModuleType(name))
     with pytest.raises(InputError, match=r"pip install 'rbjax\[rsl\]'"):
         adapters.to_rsl_rl(env, 4)
 
