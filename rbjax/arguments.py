@@ -247,6 +247,18 @@ def file_path(where: str, path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def new_file(where: str, path: str | os.PathLike[str]) -> Path:
+    """Check that the folder of a file exists, and return the path of the file.
+
+    Raises:
+        InputError: not a path, or no such folder.
+    """
+    file = file_path(where, path)
+    if not file.absolute().parent.is_dir():
+        raise InputError(f"{where}: path is {shown(str(path))}, in a folder that does not exist")
+    return file
+
+
 def random_key(where: str, key: Any) -> None:
     """Raise InputError unless a value is a key of `jax.random`."""
     is_key = isinstance(key, jax.Array) and (

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import shown
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 
@@ -39,9 +40,9 @@ def check_bound(where: str, name: str, value: Any, *shapes: tuple[int, ...]) -> 
     expected = " or ".join(map(str, shapes)) or "of numbers"
     try:
         x = jnp.asarray(value, float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{where}: {name} is {value!r}, expected numbers, infinite without a bound"
+            f"{where}: {name} is {shown(value)}, expected numbers, infinite without a bound"
         ) from error
     if shapes and x.shape not in shapes:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}")

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import existing_file, file_path
+from rbjax.arguments import existing_file, new_file
 from rbjax.errors import InputError
 from rbjax.flexible.modal.body import FRAME_FIELDS, ModalBody, check_body, shapes
 
@@ -194,7 +194,7 @@ def write_sid(body: ModalBody, path: str | os.PathLike[str]) -> None:
         True
     """
     check_body("write_sid", body)
-    file = file_path("write_sid", path)
+    file = new_file("write_sid", path)
     b = SimpleNamespace(**{k: np.asarray(getattr(body, k)) for k in shapes(1, 1)})
     m, lines = body.mode_count, ["SID written by rbjax", "part", "new modal", "refmod"]
     lines += [f"mass = {float(b.mass)!r}", f"nelastq = {m}"]

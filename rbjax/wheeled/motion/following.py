@@ -139,7 +139,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float = -math.inf) -> jax.Array:
     """Convert a number to the dtype. Raise `InputError` if it is known and not above the bound."""
-    real_number(where, name, value, traced=True, finite=False, above=above)
+    real_number(where, name, value, traced=True, above=above)
     return jnp.asarray(value, dtype)
 
 
