@@ -20,7 +20,8 @@ STYLE: Any = {
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
     "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.7, "axes.axisbelow": True,
     "text.color": INK, "xtick.color": INK, "ytick.color": INK, "font.size": 10,
-    "legend.frameon": False, "legend.fontsize": 9, "savefig.dpi": 130,
+    "legend.frameon": True, "legend.edgecolor": "none", "legend.framealpha": 0.8,
+    "legend.fontsize": 9, "savefig.dpi": 130,
     "axes.prop_cycle": f"cycler('color', {PALETTE})",
 }  # fmt: skip
 

@@ -34,6 +34,13 @@ def same(printed: str, shown: str) -> bool:
     return all(max(abs(a), abs(b)) < 1e-9 or abs(a - b) <= 0.1 * abs(b) for a, b in pairs)
 
 
+@pytest.fixture(autouse=True)
+def settings_of_matplotlib():
+    """A page's style ends with it."""
+    with matplotlib.rc_context():
+        yield
+
+
 @pytest.mark.parametrize("page", [p for p in RUN if name(p) not in ELSEWHERE], ids=name)
 def test_examples_run(page, tmp_path, monkeypatch):
     """A page over a second is listed in tests/slow.txt, with its name in brackets."""
