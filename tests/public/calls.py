@@ -18,7 +18,7 @@ from rbjax.planning import Controls, Footprint, Limits, OccupancyGrid, Path
 from rbjax.rotations import se3, so3
 from rbjax.spatial import shapes
 from tests.body import test_composes as of_bodies
-from tests.public import room_calls, tool_calls
+from tests.public import room_calls, term_calls, tool_calls
 from tests.rotations import test_public as of_rotations
 
 Calls = dict[str, dict[str, Any]]
@@ -389,10 +389,11 @@ ROOMS: dict[str, tuple[Any, Calls]] = (
     }
     | room_calls.ROOMS
     | tool_calls.ROOMS
+    | term_calls.ROOMS
 )
 
 #: functions that are not names of their room
-OTHERS: dict[str, Callable] = room_calls.OTHERS | tool_calls.OTHERS | {
+OTHERS: dict[str, Callable] = room_calls.OTHERS | tool_calls.OTHERS | term_calls.OTHERS | {
     "planning.Path.split": DRIVEN.split,
     "wheeled.car": wheeled.kinds()["car"].make,
     "wheeled.differential_drive": wheeled.kinds()["differential_drive"].make,

@@ -23,7 +23,7 @@ SEED = 11
 ROOM_NAMES = ("body", "constraints", "contact", "envs", "estimation", "flexible", "loading",
               "planning", "plotting", "rotations", "sensors", "solvers", "spatial", "stability",
               "wheeled", "viewer", "envs.adapters", "envs.learning", "flexible.modal",
-              "older")  # fmt: skip
+              "older", "envs.terms")  # fmt: skip
 #: functions whose accepted calls compile for more than a second
 HEAVY = {"clear_along", "drift", "equilibrium", "gradient_growth", "grid_a_star", "grid_dijkstra",
          "hybrid_a_star", "lyapunov", "plan", "reduced_linearisation", "refine", "rollout",
@@ -116,7 +116,8 @@ OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "
                "formula_order": ("order",), "Q": (" P ",),
                "trace": ("body",), "what": ("file, scene", "source", "regular file"),
                "B": (" K ", " R "),
-               "joint_terms": ("joint term",)}  # fmt: skip
+               "joint_terms": ("joint term",), "command": ("variable of the task",),
+               "home": ("joint",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
 ANY_SHAPE = ("z", "h_omega", "ctrl", "lag", "friction", "x", "y", "max_steps", "transient",
              "wrenches", "points", "positions", "rates", "poses", "path",

@@ -7,7 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_array, real_number, shown
 from rbjax.envs.terms.frames import Term, frame_at, scalar, squares
+from rbjax.errors import InputError
 from rbjax.sensors.fixed import reading
 
 
@@ -64,11 +66,16 @@ def axis_error(frame: Any, target: tuple[float, float, float]) -> Term:
     Returns:
         Function of a `Transition` that returns (), without unit.
 
+    Raises:
+        InputError: a target that is not three finite numbers.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.Reward("level", rb.envs.terms.axis_error("imu", (0.0, 0.0, 1.0)), -1.0).weight
         -1.0
     """
+    if real_array("axis_error", "target", target).shape != (3,):
+        raise InputError(f"axis_error: target is {shown(target)}, expected three numbers")
 
     def read(transition: Any) -> jax.Array:
         z = frame_at(transition.after, frame).rotation.columns[2]
@@ -87,12 +94,16 @@ def fallen(frame: Any, least: float = 0.0) -> Term:
     Returns:
         Function of a `Transition` that returns () of bool, a value of `Task.terminations`.
 
+    Raises:
+        InputError: a least that is not a finite number.
+
     Example:
         >>> import rbjax as rb
         >>> terminations = {"fallen": rb.envs.terms.fallen("imu", 0.5)}
         >>> callable(terminations["fallen"])
         True
     """
+    real_number("fallen", "least", least)
 
     def read(transition: Any) -> jax.Array:
         return jnp.asarray(frame_at(transition.after, frame).rotation.columns[2][2] < least)

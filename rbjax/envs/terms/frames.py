@@ -7,7 +7,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.arguments import choice, real_array, shown
 from rbjax.errors import InputError
 from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Lane, safe_sqrt, total
@@ -23,6 +25,8 @@ def frame_at(context: Context, frame: Any) -> FrameState:
 
     frame: name of a site or of a body, or an `rb.Frame`.
     """
+    if not isinstance(frame, str):
+        named_frame(context.model, frame)  # raises for another type, which may not be hashable
     found: dict[Any, FrameState] = context.once(frame_at, dict)
     if frame not in found:
         found[frame] = context.frame(named_frame(context.model, frame))
@@ -32,6 +36,33 @@ def frame_at(context: Context, frame: Any) -> FrameState:
 def scalar(context: Context, value: Any) -> jax.Array:
     """Return a lane as an array () in the dtype of q."""
     return jnp.asarray(value, context.q.dtype)
+
+
+def variable_of(transition: Any, name: str) -> Any:
+    """Return a variable of the task.
+
+    Raises:
+        UnknownName: the task has no such variable.
+    """
+    return transition.variables[choice("variable of the task", name, transition.variables)]
+
+
+def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
+    """Convert one number of each joint to an array (n,)."""
+    x = real_array(where, name, value, ndim=1)
+    if not x.size:
+        raise InputError(f"{where}: {name} is empty, expected one number of each joint")
+    return x
+
+
+def weights_of(where: str, weights: Any, n: int) -> np.ndarray:
+    """Check weights: a number or (n,), of at least zero."""
+    x = real_array(where, "weights", weights)
+    if x.shape not in ((), (1,), (n,)) or (x < 0).any():
+        raise InputError(
+            f"{where}: weights is {shown(weights)}, expected a number or ({n},) of at least zero"
+        )
+    return x
 
 
 def squares(lanes: Any) -> Lane:
@@ -51,6 +82,11 @@ def norm(x: jax.Array) -> jax.Array:
 
 def joint_entries(values: jax.Array, count: int) -> jax.Array:
     """Return the last `count` entries of q or v: the joints of a robot with a floating base."""
+    if count > values.shape[0]:
+        raise InputError(
+            f"term of joints: {count} joints are given, and the robot has {values.shape[0]} "
+            "coordinates; give one number of each joint"
+        )
     return values[values.shape[0] - count :]
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import real_array, real_number
+from rbjax.arguments import instance, real_array, real_number
 from rbjax.envs.task import Variable
 from rbjax.envs.terms.feet import Feet
-from rbjax.envs.terms.frames import Term, frame_at, length, norm
+from rbjax.envs.terms.frames import Term, frame_at, length, norm, variable_of
 from rbjax.envs.terms.joints import STILL
 
 #: a robot that moves faster, m/s or rad/s, has to step
@@ -125,19 +125,25 @@ def follow_phase(
     Returns:
         Function of a `Transition` that returns (), from 0 to 1.
 
+    Raises:
+        InputError: not `Feet`, or a height or width that is not above zero.
+
     Example:
         >>> import rbjax as rb
         >>> feet = rb.envs.terms.Feet(("FR", "FL"), (("FR", "floor"), ("FL", "floor")))
         >>> rb.envs.Reward("phase", rb.envs.terms.follow_phase(feet, 0.15, "imu")).weight
         1.0
     """
+    instance("follow_phase", "feet", feet, Feet, "rb.envs.terms.Feet")
+    real_number("follow_phase", "height", height, above=0.0)
+    real_number("follow_phase", "width", width, above=0.0)
 
     def read(transition: Any) -> jax.Array:
         error = feet.heights(transition) - height_of_phase(transition.variables["phase"], height)
         base = frame_at(transition.after, frame)
         v, w = base.velocity, base.angular_velocity
         moves = (length((v[0], v[1])) > SLOW) | (jnp.abs(w[2]) > SLOW)
-        moves = moves | (norm(transition.variables[command]) > STILL)
+        moves = moves | (norm(variable_of(transition, command)) > STILL)
         return jnp.where(moves, jnp.exp(-(error * error).sum() / width), 0.0)
 
     return read

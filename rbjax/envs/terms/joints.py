@@ -11,9 +11,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from rbjax.envs.terms.frames import Term, joint_entries, norm
+from rbjax.arguments import integer, shown
+from rbjax.envs.terms.frames import Term, joint_entries, norm, numbers_of, variable_of, weights_of
+from rbjax.errors import InputError
 
 #: a command of this norm or less is zero
 STILL = 0.01
@@ -33,7 +34,7 @@ def joint_offsets(home: Sequence[float]) -> Term:
         >>> rb.envs.Observation("q", rb.envs.terms.joint_offsets((0.5, 0.5)), noise=0.03).noise
         0.03
     """
-    h = np.asarray(home)
+    h = numbers_of("joint_offsets", "home", home)
 
     def read(transition: Any) -> jax.Array:
         q = joint_entries(transition.after.q, len(h))
@@ -51,11 +52,15 @@ def joint_velocities(count: int) -> Term:
     Returns:
         Function of a `Transition` that returns (n,), rad/s or m/s.
 
+    Raises:
+        InputError: a count that is not a positive integer.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.Observation("v", rb.envs.terms.joint_velocities(12), noise=1.5).noise
         1.5
     """
+    integer("joint_velocities", "count", count, least=1)
 
     def read(transition: Any) -> jax.Array:
         return joint_entries(transition.after.v, count)
@@ -79,6 +84,7 @@ def pose_error(home: Sequence[float], weights: Any = 1.0) -> Term:
         -0.1
     """
     offsets = joint_offsets(home)
+    weights_of("pose_error", weights, len(home))
 
     def read(t: Any) -> jax.Array:
         e = offsets(t)
@@ -126,6 +132,8 @@ def joint_deviation(home: Sequence[float], weights: Any = 1.0) -> Term:
         -0.1
     """
     offsets = joint_offsets(home)
+    if not callable(weights):
+        weights_of("joint_deviation", weights, len(home))
 
     def read(t: Any) -> jax.Array:
         w = weights(t) if callable(weights) else weights
@@ -153,7 +161,7 @@ def stand_still(home: Sequence[float], command: str = "command") -> Term:
     deviation = joint_deviation(home)
 
     def read(transition: Any) -> jax.Array:
-        return jnp.where(norm(transition.variables[command]) < STILL, deviation(transition), 0.0)
+        return jnp.where(norm(variable_of(transition, command)) < STILL, deviation(transition), 0.0)
 
     return read
 
@@ -167,13 +175,22 @@ def joint_limit_violation(lower: Sequence[float], upper: Sequence[float]) -> Ter
     Returns:
         Function of a `Transition` that returns (), rad or m.
 
+    Raises:
+        InputError: not as many lower as upper limits, or lower ones above upper ones.
+
     Example:
         >>> import rbjax as rb
         >>> limits = rb.envs.terms.joint_limit_violation((-1.0, -1.0), (1.0, 1.0))
         >>> rb.envs.Reward("limits", limits, -1.0).weight
         -1.0
     """
-    low, high = np.asarray(lower), np.asarray(upper)
+    where = "joint_limit_violation"
+    low, high = numbers_of(where, "lower", lower), numbers_of(where, "upper", upper)
+    if low.shape != high.shape or (low > high).any():
+        raise InputError(
+            f"{where}: lower is {shown(lower)} and upper {shown(upper)}, expected as many numbers, "
+            "lower ones at most upper ones"
+        )
 
     def read(transition: Any) -> jax.Array:
         q = joint_entries(transition.after.q, len(low))

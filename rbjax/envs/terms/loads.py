@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance, real_number
 from rbjax.dynamics.algorithms.rnea import inverse_dynamics
 from rbjax.envs.terms.feet import Feet
 from rbjax.envs.terms.frames import Term, frame_at
@@ -84,6 +85,9 @@ def excess_load(feet: Feet, most: float, floor: float = 0.0) -> Term:
     Returns:
         Function of a `Transition` that returns (), N.
 
+    Raises:
+        InputError: not `Feet`, or loads that are not finite numbers.
+
     Example:
         >>> import rbjax as rb
         >>> terms = rb.envs.terms
@@ -91,6 +95,9 @@ def excess_load(feet: Feet, most: float, floor: float = 0.0) -> Term:
         >>> rb.envs.Reward("impact", terms.excess_load(feet, 500.0), -0.01).weight
         -0.01
     """
+    instance("excess_load", "feet", feet, Feet, "rb.envs.terms.Feet")
+    real_number("excess_load", "most", most)
+    real_number("excess_load", "floor", floor)
 
     def read(transition: Any) -> jax.Array:
         return jnp.maximum(two_foot_loads(transition.after, feet, floor) - most, 0.0).sum()

@@ -10,13 +10,14 @@ their narrow phase has a contact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_number, shown
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts
 from rbjax.contact.geometry.detection import chosen_pairs
 from rbjax.contact.geometry.shapes import Shape, geom_shape
@@ -50,12 +51,22 @@ def touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:
         >>> rb.envs.Observation("contact", feet).name
         'contact'
     """
-    fixed = tuple((a, b) for a, b in pairs)
+    fixed = _checked_pairs(pairs)
+    real_number("touching", "reach", reach)
 
     def read(transition: Any) -> jax.Array:
         return touching_at(transition.after, fixed, reach)
 
     return read
+
+
+def _checked_pairs(pairs: Any) -> tuple[tuple[str, str], ...]:
+    if isinstance(pairs, str | Mapping) or not isinstance(pairs, Iterable):
+        raise InputError(f"touching: pairs is {shown(pairs)}, expected pairs of names of geoms")
+    found = tuple(pairs)
+    if not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in found):
+        raise InputError(f"touching: pairs is {shown(found)}, expected pairs of names of geoms")
+    return tuple((a, b) for a, b in found)
 
 
 def any_touching(pairs: Sequence[tuple[str, str]], reach: float = 0.0) -> Term:

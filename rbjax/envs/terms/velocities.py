@@ -11,7 +11,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.envs.terms.frames import Term, frame_at, scalar, squares
+from rbjax.arguments import real_number
+from rbjax.envs.terms.frames import Term, frame_at, scalar, squares, variable_of
 
 
 def track_velocity(frame: Any, command: str = "command", width: float = 0.25) -> Term:
@@ -26,14 +27,18 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
     Returns:
         Function of a `Transition` that returns (), from 0 to 1.
 
+    Raises:
+        InputError: a width that is not above zero.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.Reward("speed", rb.envs.terms.track_velocity("imu")).weight
         1.0
     """
+    real_number("track_velocity", "width", width, above=0.0)
 
     def read(transition: Any) -> jax.Array:
-        c, v = transition.variables[command], frame_at(transition.after, frame).twist.lin
+        c, v = variable_of(transition, command), frame_at(transition.after, frame).twist.lin
         return jnp.exp(-squares((c[0] - v[0], c[1] - v[1])) / width)
 
     return read
@@ -51,16 +56,23 @@ def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) ->
     Returns:
         Function of a `Transition` that returns (), from 0 to 1.
 
+    Raises:
+        InputError: a width that is not above zero.
+
     Example:
         >>> import rbjax as rb
         >>> rb.envs.Reward("turn", rb.envs.terms.track_yaw_rate("imu"), 0.5).weight
         0.5
     """
+    real_number("track_yaw_rate", "width", width, above=0.0)
 
     def read(transition: Any) -> jax.Array:
         return jnp.exp(
             -squares(
-                [transition.variables[command][2] - frame_at(transition.after, frame).twist.ang[2]]
+                [
+                    variable_of(transition, command)[2]
+                    - frame_at(transition.after, frame).twist.ang[2]
+                ]
             )
             / width
         )
