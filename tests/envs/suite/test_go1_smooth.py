@@ -1,5 +1,7 @@
 """Go1 with the rewards of a learner by gradients: NumPy and MuJoCo, slopes at rest, curriculum."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -105,14 +107,21 @@ def test_curriculum(env):
 
 
 @pytest.mark.slow
-def test_a_learner_by_gradients_trots():
-    """A tenth of the training. The commands are forward, of 0.85 m/s on average."""
+def test_a_learner_by_gradients_moves_forward():
+    """With the commands of the beginning, for a fifth of the steps: most robots have a higher
+    return than each robot that stands."""
     with jax.enable_x64(False):
+        task = rb.envs.make("go1_joystick_smooth").task
+        env = rb.envs.Environment(dataclasses.replace(task, curriculum=None))
+        params = task.curriculum(env.default_params, 0.0)
         chosen = rb.envs.learning.settings("go1_joystick_smooth", "shac", "cpu")
-        env = rb.envs.make("go1_joystick_smooth")
-        steps = chosen["steps"] // 10
-        given = shac_arguments(chosen | {"steps": steps, "reports": 1})
-        task = env.task.curriculum(env.default_params, 0.0)
-        found = rb.envs.learning.shac(env, jax.random.key(0), **given)
-        episodes = rb.envs.learning.evaluate(env, found.policy, jax.random.key(1), 32, params=task)
-    assert found.skipped == 0 and episodes.returns.mean() > 1500
+        given = shac_arguments(chosen | {"steps": chosen["steps"] // 5, "reports": 1})
+        found = rb.envs.learning.shac(env, jax.random.key(0), params=params, **given)
+        key = jax.random.key(1)
+        stand = lambda obs, key: jnp.zeros(12)  # noqa: E731
+        stands, moves = (
+            rb.envs.learning.evaluate(env, policy, key, 32, params=params).returns
+            for policy in (stand, found.policy)
+        )
+    # some of the robots fall after so short a training
+    assert found.skipped == 0 and np.median(moves) > stands.max()
