@@ -211,7 +211,7 @@ def differentiated_frames(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class CoordinateMotion(JointMotion):
-    """The motion of the base frame at coordinate k of a flexible link: none.
+    """The motion of the base frame along coordinate k of a flexible link, which is zero.
 
     Fields:
         joint: the flexible link.

@@ -163,8 +163,8 @@ def _controls(robot: Robot, ctrl: Any, horizon: float | None, dt: float) -> tupl
 
 
 def _possible(robot: Robot, names: Sequence[str]) -> tuple[list[str], str]:
-    """Return the fidelities that accept the controls, coarsest first, and why "kinematic" does
-    not."""
+    """Return the fidelities that accept the controls, coarsest first, and the reason if "kinematic"
+    does not."""
     ordered = [x for x in fidelities() if x in names]
     why_not = ""
     if "kinematic" in ordered:

@@ -231,8 +231,8 @@ def _spread(
 def _nearest(A: Zonoid, B: Zonoid, d: Vec3, found: Direction, small: Lane) -> Vec3:
     """Return the midpoint between the nearest points of two shapes, from the center of the first.
 
-    A segment that is orthogonal to the normal is an edge, on which the nearest point is sought. The
-    point of a shape that lies on a face of the other is over this face.
+    If a segment is orthogonal to the normal, the shapes touch along an edge, and its nearest point
+    is computed. If they touch at a face, the point of the other shape is projected onto it.
     """
     n = found.n
     (p, u, s, on_a), (q, w, t, on_b) = _edge(A, n, small), _edge(B, -n, small)

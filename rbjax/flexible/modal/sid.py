@@ -274,7 +274,7 @@ def _from_six(x: np.ndarray) -> np.ndarray:
 
 @dataclass
 class _Taylor:
-    """A block as it is read."""
+    """A Taylor series of an SID file while its block is read."""
 
     name: str
     sizes: dict[str, int] = field(default_factory=dict)

@@ -86,8 +86,8 @@ class Filter(Activation):
     """A first-order lag a' = (u - a) / T of the control u, with time constant T.
 
     exact: whether its steps are the exact solution. It does not change Runge-Kutta methods, which
-        integrate a' with their own order. MuJoCo's RK4 applies the exact step of an exact filter to
-        the mean rate of its stages, a second time, so that its error is of order 1.
+        integrate a' with their own order. MuJoCo's RK4 first averages the rates of its stages and
+        then applies the exact step to the mean, so its error is of order 1.
     """
 
     time_constant: jax.Array
