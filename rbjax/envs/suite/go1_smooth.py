@@ -1,12 +1,11 @@
-"""Unitree Go1 follows a velocity command on a flat floor: rewards and commands for a learner by
-gradients.
+"""Unitree Go1 follows a velocity command, with rewards for a learner by gradients.
 
 Robot, observations, variables and start are those of `go1_joystick_flat`, so that a policy of one
 task acts in the other. The rewards of that task give a learner by gradients little to follow: they
 are flat far from the command and clipped at zero, and the term "feet_clearance" has an infinite
 slope at rest. Here, c is the commanded horizontal velocity, s = |c|, and v its actual value in axes
 of the IMU, with the part a along c and the part b across it.
-    progress  2 (s - sqrt((s - a)^2 + 0.01))   a constant slope up to the command, none beyond it
+    progress  2 (s - sqrt((s - a)^2 + 0.01)), a constant slope up to the command, none beyond it
     sideways  -0.3 sqrt(b^2 + 0.01)
     turn      -0.3 sqrt((w_z - c_w)^2 + 0.01)
     height    z - 0.15 m, of the trunk
@@ -22,9 +21,9 @@ The curriculum of a training, at a progress p in 0..1:
     weights   those of the terms of `go1_joystick_flat` but the two of tracking grow from 0.3 to 1
               times their values there between p = 0.5 and 0.8
 
-Sources: Georgiev et al., *Adaptive horizon actor-critic for policy learning in contact-rich
-differentiable simulation*, 2024, whose quadruped has the terms of forward speed, height and effort;
-the weights are ours.
+Source: Georgiev et al., *Adaptive horizon actor-critic for policy learning in contact-rich
+differentiable simulation*, 2024, whose quadruped has terms of forward speed, height and effort. The
+weights are ours.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def go1_joystick_smooth() -> Task:
     """A Go1 follows a velocity command, with rewards and a curriculum for a learner by gradients.
 
     Source: Georgiev et al., *Adaptive horizon actor-critic for policy learning in contact-rich
-    differentiable simulation*, 2024, with other weights.
+    differentiable simulation*, 2024, whose quadruped has terms of forward speed, height and effort.
 
     Example:
         >>> import rbjax as rb
