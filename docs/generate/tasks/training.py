@@ -24,10 +24,12 @@ def trainings(name: str) -> dict[str, Any]:
 
 
 def results(curves: dict[str, Any]) -> Iterable[tuple[str, ...]]:
-    """The last report of each training, and the evaluation after it."""
+    """The last report of each training, and the evaluation after it, if it is in the same task."""
     for (algorithm, device), row in curves.items():
         last = row["curve"][-1]
-        reward = row.get("evaluation", {}).get("return", last["reward"])
+        same = row.get("judge", row["task"]) == row["task"]
+        reward = row.get("evaluation", {}).get("return") if same else None
+        reward = last["reward"] if reward is None else reward
         figures = f"{last['steps'] / 1e6:.3g} M", f"{last['seconds']:.0f}", f"{reward:.4g}"
         yield ALGORITHMS[algorithm], device, *figures
 
