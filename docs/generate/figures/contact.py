@@ -5,7 +5,7 @@ from __future__ import annotations
 from docs.generate.figures.kinds import Figure, Number
 
 H200 = "nvidia-h200"
-CORE = "cpu-contact-intel-r-xeon-r-processor"
+CORE = "cpu-contact-amd-epyc"
 MAP = "contact-map-amd-epyc"
 
 
@@ -26,7 +26,7 @@ def _gpu() -> dict[str, Figure]:
 def _core() -> dict[str, Figure]:
     return {
         f"cpu.contact.{robot}": Number(CORE, "over_mujoco", {"robot": robot}, digits=2)
-        for robot in ("humanoid", "humanoid_feet", "go1")
+        for robot in ("humanoid", "humanoid_feet", "go1", "g1")
     }
 
 

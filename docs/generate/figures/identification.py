@@ -18,7 +18,10 @@ def _simulated() -> dict[str, Figure]:
     arm = {"problem": "arm, 55 numbers", "engine": "rbjax"}
     quadruped = {"problem": "quadruped", "engine": "rbjax"}
     gpu = "gpu-identification-nvidia-h200"
+    truth, mean = f"cpu-identify-arm-truth-{CORE}", lambda found: sum(found) / len(found)
     out: dict[str, Figure] = {
+        "truth.inside": Number(truth, "inside", best=mean, scale=100 / 8),
+        "truth.seconds": Number(truth, "seconds", digits=2),
         "sysid.arm.error": Number(file, "error", arm, digits=1),
         "sysid.arm.again": Number(file, "again_s", arm, digits=2),
         "sysid.arm.mujoco": Number(file, "again_s", arm | {"engine": "mujoco.sysid"}, digits=2),

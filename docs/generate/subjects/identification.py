@@ -55,7 +55,7 @@ TABLES = {
         ),
         "python -m benchmarks.cpu.intervals settings --full",
     ),
-    "arm from twenty recordings": Table(
+    "arm from a hundred recordings": Table(
         ("cpu-identify-arm-truth-*",),
         (
             C("draw"),

@@ -137,7 +137,7 @@ TABLES = {
         best=min,
     ),
     "cpu contact": Table(
-        ("cpu-contact-intel*",),
+        ("cpu-contact-amd*",),
         (
             ROBOT,
             C("contact_us", "a step, us"),
