@@ -13,6 +13,7 @@ import concurrent.futures
 import multiprocessing
 import time
 
+import mujoco
 import numpy as np
 
 from benchmarks.shared.timing import markdown_table, save
@@ -21,31 +22,45 @@ COUNT = 100
 ENGINES, WHAT = ("rbjax", "MJX"), ("median", "max")
 
 
-def errors(name: str) -> dict:
-    """One model's row."""
-    import jax
-    import jax.numpy as jnp
-    import mujoco
-    from mujoco import mjx
-
-    import rbjax as rb
+def plain(name: str) -> mujoco.MjModel:
+    """A model of the test list without constraints, springs, dampers and actuators."""
     from benchmarks.cases.models import MODELS, switch_off_constraints
-    from benchmarks.shared.robots import as_model, relative, states
 
     m = MODELS[name].load()
     switch_off_constraints(m)
     bits = mujoco.mjtDisableBit
     for bit in (bits.mjDSBL_SPRING, bits.mjDSBL_DAMPER, bits.mjDSBL_ACTUATION):
         m.opt.disableflags |= int(bit)
-    row: dict = {"model": name, "nv": m.nv}
-    if not m.nv:
-        return row
+    return m
+
+
+def reference(m: mujoco.MjModel) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """States and forces in f32, and MuJoCo C's accelerations of them in f64."""
+    from benchmarks.shared.robots import states
+
     q, v, tau = (x.astype(np.float32) for x in states(m, COUNT))
     data, want = mujoco.MjData(m), []
     for i in range(COUNT):
         data.qpos, data.qvel, data.qfrc_applied = q[i], v[i], tau[i]
         mujoco.mj_forward(m, data)
         want.append(data.qacc.copy())
+    return (q, v, tau), np.array(want)
+
+
+def errors(name: str) -> dict:
+    """One model's row."""
+    import jax
+    import jax.numpy as jnp
+    from mujoco import mjx
+
+    import rbjax as rb
+    from benchmarks.shared.robots import as_model, relative
+
+    m = plain(name)
+    row: dict = {"model": name, "nv": m.nv}
+    if not m.nv:
+        return row
+    given, want = reference(m)
     model = as_model(m)
 
     def ours(q, v, tau):
@@ -63,8 +78,8 @@ def errors(name: str) -> dict:
         if engine == "MJX" and m.nv > 40:
             continue
         try:
-            got = jax.jit(f)(*(jnp.asarray(x) for x in (q, v, tau)))
-            error = relative(got, np.array(want))
+            got = jax.jit(f)(*(jnp.asarray(x) for x in given))
+            error = relative(got, want)
             row |= {f"{engine} median": float(np.median(error)), f"{engine} max": error.max()}
         except Exception as error:  # MJX refuses some
             row[f"{engine} note"] = f"{type(error).__name__}: {str(error)[:80]}"

@@ -1,11 +1,12 @@
-"""One call of forward dynamics from Python: `rb.compile`, `pinocchio.aba`, a jitted `mjx.forward`.
+"""One call of forward dynamics from Python: rbjax, Pinocchio, MJX and MuJoCo Warp.
 
+    pip install mujoco-warp==4.0.0  # optional
     python -m benchmarks.cpu.one_call_peers
 
-One sample, f64, one core. The engines take turns, and the best run of each counts, so that other
-processes disturb none. MuJoCo C is in `cpu.one_call`. Pinocchio has no model of the humanoid. MJX
-runs with XLA's defaults and, as "mjx_plain", without its fusion emitters, which for the Panda
-evaluate poses again for every use.
+One sample, one core, f64, but for MuJoCo Warp, which has f32 only. The engines take turns, and the
+best run of each counts, so that other processes disturb none. MuJoCo C is in `cpu.one_call`.
+Pinocchio has no model of the humanoid. `mjx.forward` is jitted; it runs with XLA's defaults and, as
+"mjx_plain", without its fusion emitters, which for the Panda evaluate poses again for every use.
 """
 
 import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
@@ -25,6 +26,7 @@ import rbjax as rb
 from benchmarks.cases.models import MODELS
 from benchmarks.shared.robots import NAMES, actuated, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
+from benchmarks.shared.warp_states import assign
 
 CALLS, TURNS = 200, 20
 
@@ -53,6 +55,22 @@ def mjx_call(m: mujoco.MjModel, emitters: bool, *args: Any) -> Callable[[], Any]
     return lambda: forward(*args).block_until_ready()
 
 
+def warp_call(m: mujoco.MjModel, *args: np.ndarray) -> Callable[[], Any] | None:
+    """A call of `mujoco_warp.forward`, which returns the acceleration; None without the package."""
+    try:
+        import mujoco_warp as mjw
+    except ModuleNotFoundError:
+        return None
+    model, data = mjw.put_model(m), mjw.make_data(m, nworld=1)
+
+    def call() -> np.ndarray:
+        assign(data, *(x[None] for x in args))
+        mjw.forward(model, data)
+        return data.qacc.numpy()
+
+    return call
+
+
 def robot(name: str) -> dict[str, Any]:
     reference = compiled(name)
     model = as_model(reference)
@@ -63,6 +81,7 @@ def robot(name: str) -> dict[str, Any]:
         "pinocchio": pinocchio_call(name),
         "mjx": mjx_call(actuated(name), True, q, v, tau),
         "mjx_plain": mjx_call(actuated(name), False, q, v, tau),
+        "warp": warp_call(actuated(name), q, v, tau),
     }
     row: dict[str, Any] = {"robot": name}
     for engine, call in calls.items():
@@ -73,7 +92,7 @@ def robot(name: str) -> dict[str, Any]:
     for _ in range(TURNS):
         for engine, call in calls.items():
             if call:
-                count = CALLS // 10 if "mjx" in engine else CALLS
+                count = CALLS if engine in ("rbjax", "pinocchio") else CALLS // 10
                 found = fastest_ns(lambda f=call, n=count: [f() for _ in range(n)], count, 3)
                 row[f"{engine}_ns"] = min(found, row.get(f"{engine}_ns", np.inf))
     return row
@@ -81,7 +100,7 @@ def robot(name: str) -> dict[str, Any]:
 
 def main() -> None:
     rows = [robot(name) for name in NAMES]
-    print(markdown_table(rows, ("robot", "rbjax_ns", "pinocchio_ns", "mjx_ns", "mjx_plain_ns")))
+    print(markdown_table(rows, ("robot", *(key for key in rows[-1] if key.endswith("_ns")))))
     print(save("cpu-one-call-peers", rows))
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import jax
 
 RESULTS = Path(__file__).parents[1] / "results"
+PACKAGES = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "mujoco-warp", "pin", "frax")
 
 # A cached program would be reported as compiled in no time.
 jax.config.update("jax_enable_compilation_cache", False)
@@ -79,10 +80,7 @@ def provenance() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "x64": jax.numpy.result_type(float) == "float64",
         "python": platform.python_version(),
-        "versions": {
-            name: _version(name)
-            for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "pin", "frax")
-        },
+        "versions": {name: _version(name) for name in PACKAGES},
         "command": command(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         **_commit(),
