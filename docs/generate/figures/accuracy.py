@@ -5,6 +5,7 @@ from __future__ import annotations
 from docs.generate.figures.kinds import Count, Figure, Number, Rows
 
 GPU, CPU = "gpu-accuracy-nvidia-h200", "accuracy-amd-epyc"
+WARP = "accuracy-warp-amd-epyc"
 
 
 def _both(row: dict) -> bool:
@@ -15,6 +16,8 @@ FIGURES: dict[str, Figure] = {
     "accuracy.f32": Number(GPU, "rbjax median", digits=2),
     "accuracy.f32.max": Number(GPU, "rbjax max", digits=2),
     "accuracy.f32.mjx": Number(GPU, "MJX median", digits=2),
+    "accuracy.f32.warp": Number(WARP, "median", digits=2),
+    "accuracy.f32.warp.models": Rows(WARP, lambda row: "median" in row),
     "accuracy.f32.models": Rows(GPU, _both),
     "accuracy.f32.lower": Rows(
         GPU, lambda row: _both(row) and row["rbjax median"] < row["MJX median"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from docs.generate.figures.kinds import Count, Entries, Figure, Number, Rate, Ratio
+from docs.generate.figures.kinds import Count, Entries, Figure, Number, Rate, Ratio, Rows
 
 CORE, XEON = "amd-epyc", "intel-r-xeon-r-processor"
 ROBOTS = ("panda", "humanoid", "g1")
@@ -17,7 +17,7 @@ def _calls() -> dict[str, Figure]:
     """One call, one robot's rollout, and compile times, by robot."""
     out: dict[str, Figure] = {}
     call, one = f"cpu-one-call-{CORE}", f"cpu-one-robot-{CORE}"
-    stages = f"cpu-compile-stages-{CORE}"
+    stages, peers = f"cpu-compile-stages-{CORE}", f"cpu-one-call-peers-{CORE}"
     for robot in ROBOTS:
         row = {"robot": robot}
         name = f"cpu.call.{robot}"
@@ -25,6 +25,8 @@ def _calls() -> dict[str, Figure]:
         out[f"{name}.mujoco"] = Number(call, "mujoco_ns", row, min, 1e-3, 2)
         out[f"{name}.jit"] = Number(call, "jit_ns", row, min, 1e-3, 2)
         out[f"{name}.over-mujoco"] = Number(call, "over_mujoco", row, digits=2)
+        for engine in ("mjx", "warp") if robot == "humanoid" else ("mjx", "warp", "pinocchio"):
+            out[f"{name}.{engine}"] = Number(peers, f"{engine}_ns", row, min, 1e-3, 2)
         out[f"{name}.over-empty"] = Number(call, "jit_over_empty", row)
         step = row | {"what": "rollout, a step"}
         out[f"cpu.step.{robot}"] = Number(one, "llvm_us", step, digits=2)
@@ -97,12 +99,18 @@ def _rotations() -> dict[str, Figure]:
     }
 
 
+def _integrators(engine: str) -> Rows:
+    """The number of integrators that an engine steps with."""
+    return Rows(
+        f"work-peer-integrators-{CORE}", lambda row: row["engine"] == engine and "error" in row
+    )
+
+
 FIGURES = _calls() | _algorithms() | _rotations() | {
     "count.formulations": Entries("constraints.formulations"),
     "count.solvers": Entries("solvers.all"),
     "count.representations": Entries("rotations.representations"),
     "count.body": Entries("body.formulations"),
-    "count.integrators.mjx": Count(
-        f"work-precision-pendulum-{CORE}", "method", {"what": "step", "engine": "mjx"}
-    ),
+    "count.integrators.mjx": _integrators("mjx"),
+    "count.integrators.warp": _integrators("MuJoCo Warp"),
 }  # fmt: skip

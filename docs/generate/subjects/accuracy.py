@@ -31,6 +31,11 @@ TABLES = {
         "python -m benchmarks.accuracy.against_mujoco_gpu",
         sort=lambda row: -(row.get("MJX median") or 0),
     ),
+    "f32 of MuJoCo Warp": Table(
+        ("accuracy-warp-*",),
+        (C("model"), C("nv", "dof"), C("on"), C("median", digits=2), C("max", "worst", 2)),
+        "python -m benchmarks.accuracy.warp_float32",
+    ),
     "libraries of rotations": Pivot(
         ("rotation-libraries-*",),
         (C("what", ""), C("where")),

@@ -62,6 +62,18 @@ TABLES = {
         {"what": ("forward", "rollout", "gradient")},
         order=ROBOTS,
     ),
+    "warp forward": Table(
+        ("gpu-warp-forward-*",),
+        (
+            ROBOT,
+            BATCH,
+            C("M/s", "million a second"),
+            C("version", "version of MuJoCo Warp"),
+            C("compile_s", "compiling, s"),
+        ),
+        "python -m benchmarks.gpu.mujoco_warp --robots --forward panda humanoid g1",
+        optional=True,
+    ),
     "gpu compile": Pivot(
         (*THREAD_FILES, *MJX_FILES),
         (ENGINE, WHAT),

@@ -22,7 +22,7 @@ TABLES = {
         "python -m benchmarks.cpu.algorithms",
     ),
     "one call": Table(
-        ("cpu-one-call-*",),
+        ("cpu-one-call-amd-*",),
         (
             ROBOT,
             C("compiled_ns", "rb.compile, us", 2, 1e-3),
@@ -43,9 +43,9 @@ TABLES = {
             C("pinocchio_ns", "pinocchio.aba, us", 2, 1e-3),
             C("mjx_ns", "mjx.forward, us", 2, 1e-3),
             C("mjx_plain_ns", "mjx.forward without fusion emitters, us", 2, 1e-3),
+            C("warp_ns", "mujoco_warp.forward, f32, us", 2, 1e-3),
         ),
         "python -m benchmarks.cpu.one_call_peers",
-        optional=True,
     ),
     "one robot": Table(
         ("cpu-one-robot-*",),

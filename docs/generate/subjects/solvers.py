@@ -34,6 +34,11 @@ TABLES = {
         "make failure-map",
         lambda row: "cells" in row,
     ),
+    "integrators of other engines": Table(
+        ("work-peer-integrators-*",),
+        (C("engine"), C("integrator"), C("error", "difference to MuJoCo C", 1), C("note")),
+        "python -m benchmarks.work.peer_integrators",
+    ),
     "stiffness": Table(
         ("work-stiffness-*",),
         (
