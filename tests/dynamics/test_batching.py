@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.tracing import algorithm
+from rbjax.dynamics.tracing import algorithm, one_sample
 from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -32,7 +32,8 @@ def loop(f, *xs):
 
 
 def test_a_batch_under_xla_is_the_samples(given, monkeypatch):
-    monkeypatch.setattr(algorithm, "kernels_available", lambda: False)
+    for module in (algorithm, one_sample):
+        monkeypatch.setattr(module, "kernels_available", lambda: False)
     run = functools.partial(fd, MODEL)
     mapped = jax.jit(jax.vmap(run))
     assert "threads" not in jax.make_jaxpr(mapped)(*given).pretty_print()

@@ -97,7 +97,12 @@ def test_gait():
             variables={"phase": phases, "command": jnp.asarray(command)},
             after=rb.forces.Context.of(body, 0.0, moving, None),
         )
-        feet = SimpleNamespace(heights=lambda to: jnp.asarray(heights))
+
+        class Lifted(terms.Feet):
+            def heights(self, transition):
+                return jnp.asarray(heights)
+
+        feet = Lifted(("left", "right"), ())
         assert terms.phase_cosines(to).tolist() == pytest.approx([*np.cos(phases), *np.sin(phases)])
         return float(terms.follow_phase(feet, 0.1, "box")(to))
 

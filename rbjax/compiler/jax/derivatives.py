@@ -19,14 +19,12 @@ from jax.core import ShapedArray
 from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
-from rbjax._jax_compat import custom_rule, equation, without_names
+from rbjax._jax_compat import INLINED, custom_rule, equation, without_names
 from rbjax.compiler.jax.garbage import gc_paused
 
 Atom = Var | Literal
 Flags = tuple[bool, ...]
 
-#: calls that are replaced by the equations of their jaxpr
-INLINED = {"jit", "pjit", "closed_call", "core_call"}
 NO_EFFECTS: frozenset = frozenset()
 #: function of the variables that are given -> the transpose of a linearised jaxpr
 Transposed = Callable[..., ClosedJaxpr]

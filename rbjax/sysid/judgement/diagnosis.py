@@ -43,6 +43,7 @@ from rbjax.sysid.statistics.precision import in_double
 
 BETTER = 0.5  # largest ratio of the errors with and without a correction
 SUSPECT = 0.3  # columns with a larger relative error are tested for a wrong sign or place
+SAME = 1.0001  # largest ratio of two errors that are the same
 TRIED = 3  # number of corrections that are verified by a fit
 NEAR, SLOW = 0.01, 2e-3  # search range of a refined clock rate; least reported rate
 #: thresholds of a dead sensor: least share of the recording with a constant signal, largest scatter
@@ -159,14 +160,14 @@ class _Trials:
         """Return the correction whose fit has the least error, or None if no error is halved."""
         tried, fitted, at = [], [], (self.guess, x)
         uncorrected = [max(self.error(runs, y), 1e-300) for y in at]
-        for one in self.hypotheses(runs, x):
+        for order, one in enumerate(self.hypotheses(runs, x)):
             self.say(one.words)
             corrected = [one.correction(run) for run in runs]
             shares = [self.error(corrected, y) / e for y, e in zip(at, uncorrected, strict=True)]
             shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
             if not np.allclose(shares, 1.0, rtol=1e-6):  # skip without effect
-                tried.append((min(shares), at[int(np.argmin(shares))], one))
-        for _, y, one in sorted(tried, key=lambda trial: trial[0])[:TRIED]:
+                tried.append((min(shares), order, at[int(np.argmin(shares))], one))
+        for _, order, y, one in sorted(tried, key=lambda trial: trial[0])[:TRIED]:
             self.say(f"fit: {one.words}")
             corrected = [one.correction(run) for run in runs]
             y = self.fit(corrected, y)
@@ -175,14 +176,15 @@ class _Trials:
                 one = self.refine_clock(runs, y, rate)
                 corrected = [one.correction(run) for run in runs]
                 y = self.fit(corrected, y)
-            fitted.append((self.error(corrected, y), one, y))
-        if not fitted:
+            fitted.append((self.error(corrected, y), order, one, y))
+        if not fitted or not (least := min(fit[0] for fit in fitted)) <= BETTER * before:
             return None
-        after, (kind, channels, columns, correction, words), y = min(fitted, key=lambda fit: fit[0])
-        if not after <= BETTER * before:
-            return None
+        # A mirrored motion has the same error: a rounding error must not choose.
+        equal = sorted((fit for fit in fitted if fit[0] <= SAME * least), key=lambda fit: fit[1])
+        after, _, (kind, channels, columns, correction, words), y = equal[0]
         words += f": with this corrected the error falls from {100 * before:.3g} % to "
         words += f"{100 * after:.3g} %"
+        words += "".join(f"; the same error if {other.words} instead" for *_, other, _ in equal[1:])
         return Cause(kind, channels, columns, before, after, words), correction, y
 
     def hypotheses(self, runs: list[Recording], x: np.ndarray) -> Iterator[Hypothesis]:
