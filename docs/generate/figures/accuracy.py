@@ -25,5 +25,6 @@ FIGURES: dict[str, Figure] = {
     "accuracy.f64": Number(CPU, "f64 max", digits=1),
     "accuracy.core.f32": Number(CPU, "f32 median", digits=2),
     "accuracy.core.f32.max": Number(CPU, "f32 max", digits=2),
+    "accuracy.core.f32.mjx": Number(CPU, "MJX f32 FD median", digits=2),
     "accuracy.models": Count(CPU, "model"),
 }
