@@ -59,3 +59,8 @@ def test_pages_that_answer_are_two_clicks_away():
     text = (DOCS / "howto" / "index.md").read_text()
     assert all(path.removeprefix("howto/") in text for path in QUESTIONS.values())
     assert "howto" in tree.TABS
+
+
+def test_a_job_fits_on_a_screen():
+    pages = (DOCS / "howto").glob("*/*.md")
+    assert not [page.name for page in pages if len(page.read_text().splitlines()) > 60]

@@ -34,6 +34,13 @@ def test_the_program_is_short():
     assert len([line for line in program.splitlines() if line.strip()]) <= 13
 
 
+def test_every_cell_of_the_comparison_leads_to_a_benchmark():
+    table = TEXT.split("## Why")[1].split("## Clips")[0]
+    rows = [line.strip("|").split("|") for line in table.splitlines() if line.startswith("|")][2:]
+    assert len(rows) == 6
+    assert all("](docs/benchmarks/" in cell for row in rows for cell in row[1:])
+
+
 @pytest.mark.parametrize("name", sorted(path.name for path in CLIPS.iterdir()))
 def test_a_clip_is_small_and_moves(name: str):
     path = CLIPS / name
