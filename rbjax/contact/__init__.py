@@ -1,6 +1,7 @@
 """Contacts of geoms: which pairs may touch, where, how far they are apart, and laws of contact.
 
     detect             candidate contacts at a configuration
+    with_geom          one more geom of a robot, as on a frame of a beam
     solve              acceleration and forces of a law, with the report of its solver
     impulse            velocity after an impact (Newton's or energetic restitution)
     SoftContact        MuJoCo's soft contact
@@ -13,6 +14,7 @@
 from rbjax.contact.compliant import CompliantContact
 from rbjax.contact.contact_solution import solve
 from rbjax.contact.coulomb import CoulombContact
+from rbjax.contact.geom_addition import with_geom
 from rbjax.contact.geometry.detection import Contacts, detect, pairs
 from rbjax.contact.impacts.impulses import Impulse, impulse
 from rbjax.contact.impacts.moreau import MoreauContact
@@ -35,6 +37,7 @@ __all__ = [
     "laws",
     "pairs",
     "solve",
+    "with_geom",
 ]
 
 

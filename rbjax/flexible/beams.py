@@ -85,7 +85,8 @@ class Beam(Record):
 
         The beam starts at its base frame, along x, and the body `name` is its tip. Add bodies,
         sites, constraints and forces to the tip and to the bodies of `frames` by their names.
-        Contacts and forces of a fluid act on bodies with geoms, not on the surface of the beam.
+        Contacts act on geoms of the tip and of the frames (`rb.contact.with_geom`), not on the
+        surface of the beam.
 
         Args:
             model: the model.

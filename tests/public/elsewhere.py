@@ -18,7 +18,7 @@ ELSEWHERE: dict[str, set[str]] = {
     # rows are functions of frames: tests/constraints/test_pairs.py and test_rows.py
     "constraints": {"along", "assemble", "coordinate", "cosine", "displacement", "distance",
                     "formulations", "kinds", "mobility", "places", "time", "turn"},
-    "contact": {"laws", "pairs"},
+    "contact": {"laws", "pairs", "with_geom"},
     "wheeled": {"at", "controlled", "fidelities", "from_file", "kinds", "simulate",
                 "with_trailers", "write_mjcf"},
     "planning": {"clear", "clear_along", "drives", "grid_a_star", "grid_dijkstra",

@@ -25,6 +25,8 @@ CONTACT: Calls = {
     "solve": {"model": BALL, "state": FALLING, "t": 0.0, "contact": "mujoco", "dt": 0.01},
     "impulse": {"model": BALL, "state": FALLING, "restitution": 0.5, "friction": 0.5,
                 "law": "newton", "reach": 0.1, "t": 0.0, "sweeps": 3},
+    "with_geom": {"model": BALL, "name": "pad", "body": "world", "kind": "sphere", "size": 0.1,
+                  "position": (0, 0, 0), "orientation": (1, 0, 0, 0)},
     "SoftContact": {"iterations": 5, "dt": 0.01},
     "CoulombContact": {"share": 0.2, "stiffness": 0.9, "rounds": 3, "iterations": 5},
     "MoreauContact.of": {"model": BALL, "restitution": 0.5, "friction": 0.5, "correction": 0.1,
