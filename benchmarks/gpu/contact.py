@@ -4,7 +4,8 @@
     python -m benchmarks.gpu.contact --robots humanoid --parts rollout free gradient mjx
 
 Each sample has its own random controls. A step of `rollout` is converged to the tolerance of the
-solver. "free" is the same robot without contacts. It writes results/gpu-contact-<robot>-<device>.
+solver. "free" is the same robot without contacts. "scan" is a user's own loop of `rb.step` under
+`rb.threads`, with and without contacts. It writes results/gpu-contact-<robot>-<device>.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from benchmarks.cases.standing import on_floor, random_controls, settled
 from benchmarks.shared.gpu_timing import finish, timed
 
 STEPS = 50
-PARTS = ("rollout", "free", "gradient", "mjx")
+PARTS = ("rollout", "free", "gradient", "scan", "mjx")
 
 
 def bench(name: str, batch: int, parts: tuple[str, ...]) -> list[dict[str, Any]]:
@@ -43,20 +44,29 @@ def bench(name: str, batch: int, parts: tuple[str, ...]) -> list[dict[str, Any]]
             robot, rb.State(q, v), inputs, m.opt.timestep, steps=STEPS, save_every=STEPS
         ).q[:, -1]
 
+    def scan(robot: rb.Model, q: Any, v: Any, ctrl: Any) -> Any:
+        @rb.threads
+        def own(q: Any, v: Any, u: Any) -> Any:
+            turn = lambda x, _: (rb.step(robot, x, u, m.opt.timestep), None)  # noqa: E731
+            return jax.lax.scan(turn, rb.State(q, v), None, length=STEPS)[0].q
+
+        return jax.vmap(own)(q, v, ctrl)
+
     def gradient(robot: rb.Model, q: Any, v: Any, ctrl: Any) -> Any:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*biased at any step size")
             return jax.grad(lambda u: (end(robot, q, v, u) ** 2).sum())(ctrl)
 
+    kinds = {"gradient": gradient, "scan": scan}
     for part in parts:
         row = {"what": part, "robot": short, "engine": "rbjax", "batch": batch}
         if part in robots:
             robot = robots[part]
             row |= timed(row, lambda *x, r=robot: end(r, *x), q, v, ctrl, work=batch * STEPS)
-        elif part == "gradient":
+        elif part in kinds:
             for kind, robot in robots.items():
-                own = row | {"what": f"gradient, {kind}"}
-                f = lambda *x, r=robot: gradient(r, *x)  # noqa: E731
+                own = row | {"what": f"{part}, {kind}"}
+                f = lambda *x, r=robot, g=kinds[part]: g(r, *x)  # noqa: E731
                 rows.append(timed(own, f, q, v, ctrl, work=batch * STEPS))
             continue
         else:
