@@ -42,14 +42,14 @@ FLOORS = {
     "sensors": "motion",
     "loading": "sensors",  # a file has sensors, which read accelerations
 }
-# The users' rooms stand on all of that and do not know each other, but for two pairs.
+# The users' rooms stand on all of that and do not know each other, but for three pairs.
 FLOORS |= dict.fromkeys(
     "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
     "estimation loading status",
 )
 FLOORS |= {"control": "kinematics status"}
 FLOORS |= {"envs": "control wheeled flexible sysid"}  # tasks of all robots
-PEERS = {("wheeled", "control"), ("planning", "wheeled")}
+PEERS = {("wheeled", "control"), ("planning", "wheeled"), ("sysid", "flexible")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
 # Inside a room: a folder, and the packages that its files may not import.
 STOREYS = {

@@ -5,6 +5,7 @@ distributed_load forces and moments along a beam
 tendons       tendons along a beam
 elasticity    elastic and viscous forces of a beam
 regressor     inertial regressor of trees with beams
+elastic_columns regressor of the elastic and viscous forces of beams
 linear_elasticity forces -K q - D q' of any flexible link; a base that moves freely
 cross_section cross-sections: stiffness, mass and rotary inertia per length
 strain/       beams whose strains are polynomials of the arclength
@@ -16,6 +17,7 @@ from rbjax.flexible import modal
 from rbjax.flexible.beams import Beam, beam
 from rbjax.flexible.cross_section import Section, circle, ellipse, rectangle, section, tube
 from rbjax.flexible.distributed_load import BeamLoad
+from rbjax.flexible.elastic_columns import elastic_names, elastic_parameters, elastic_regressor
 from rbjax.flexible.elasticity import BeamElasticity
 from rbjax.flexible.regressor import section_names, section_parameters, section_regressor
 from rbjax.flexible.tendons import BeamPath, BeamTendon
@@ -29,6 +31,9 @@ __all__ = [
     "Section",
     "beam",
     "circle",
+    "elastic_names",
+    "elastic_parameters",
+    "elastic_regressor",
     "ellipse",
     "modal",
     "rectangle",

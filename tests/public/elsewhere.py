@@ -59,6 +59,7 @@ ELSEWHERE: dict[str, set[str]] = {
                 "very_chord", "yoshida4", "yoshida6"},
     # finite elements, files, sums over points on the host, links of a model: tests/flexible/modal
     "flexible": {"add_modal_body", "beam_mesh", "box_mesh", "craig_bampton", "elastic_force",
+                 "elastic_names", "elastic_parameters", "elastic_regressor",
                  "fast_rotation", "from_points", "from_sid", "inertia_invariants",
                  "read_mbdyn_modal", "read_sid", "section_names", "section_parameters",
                  "section_regressor", "stiffness_in_motion", "tetrahedral_mesh",

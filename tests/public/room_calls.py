@@ -51,6 +51,7 @@ FLEXIBLE: Calls = {
              "damping": 0.01, "points": 5},
     "BeamLoad.of": {"model": RODS, "joint": "rod", "force": np.ones(3), "axes": "world"},
     "section_regressor": {"model": RODS, "q": ZERO, "v": ZERO, "a": ZERO},
+    "elastic_regressor": {"model": RODS, "q": ZERO, "v": ZERO},
     "with_beam": {"name": "other", "beam": ROD, "parent": "rod", "position": np.zeros(3),
                   "orientation": np.array([1.0, 0.0, 0.0, 0.0]), "free": False},
     "modal.box_mesh": {"size": np.ones(3), "divisions": (2, 1, 1), "quadratic": False},

@@ -178,6 +178,8 @@ OLDER: Calls = {
     "control.linear.lqr": {"A": A2, "B": B2, "Q": np.eye(2), "R": np.eye(1), "discrete": False},
     "control.laws.allocate": {"model": ARM, "state": ARM.default_state(), "tau": np.zeros(2)},
     "flexible.section_names": {"model": PENDULUM},
+    "flexible.elastic_names": {"model": PENDULUM},
+    "flexible.elastic_parameters": {"model": PENDULUM},
     "validation.compare": {"source": "pendulum", "states": 1, "seed": 0, "mjx": False,
                            "seconds": 0.01, "gradient": False, "contacts": False},
     "recommend.contact_law": {"model": BALL, "state": BALL.default_state(), "accuracy": 1e-3,

@@ -30,7 +30,8 @@ from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.parameters.unknowns import Inertia, Unknown
 from rbjax.sysid.simulation.setup import PD, Setup
 from rbjax.sysid.statistics.rank import combinations
-from rbjax.sysid.torque.regressors import observation_matrix, random_motions
+from rbjax.sysid.torque.motions import random_motions
+from rbjax.sysid.torque.regressors import observation_matrix
 
 #: force elements that act on each joint as a function of its own q and v
 BY_JOINT = (JointFriction, JointLimits)

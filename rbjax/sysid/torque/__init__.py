@@ -2,6 +2,7 @@
 
 from rbjax.sysid.torque.consistency import Consistent, consistent
 from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
+from rbjax.sysid.torque.motions import random_motions
 from rbjax.sysid.torque.regression import METHODS, regress
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
@@ -9,7 +10,6 @@ from rbjax.sysid.torque.regressors import (
     observation_matrix,
     parameter_names,
     parameter_values,
-    random_motions,
     regressor,
 )
 from rbjax.sysid.torque.rows import TorqueRows, torque_rows

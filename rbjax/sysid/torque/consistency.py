@@ -149,7 +149,8 @@ def consistent(
         `Consistent`.
 
     Raises:
-        InputError: invalid arrays (`regress`), or a body of the model with an inconsistent inertia.
+        InputError: invalid arrays (`regress`), a body of the model with an inconsistent inertia, or
+            beams.
 
     Source: Rucker & Wensing 2022; Lee, Wensing & Park 2020.
 
@@ -166,6 +167,11 @@ def consistent(
     where = "consistent"
     check_model(where, model)
     names = parameter_names(model, joint_terms)
+    if len(names) > 10 * model.nb + len(joint_terms) * joint_coordinates(model).size:
+        raise InputError(
+            f"{where}: the model has beams, whose sections have no log-Cholesky coordinates; use "
+            "regress, whose estimates of positive quantities may be negative"
+        )
     integer(where, "max_steps", max_steps, least=1)
     eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
     spread = positive_numbers(where, "spread", spread, model.nb, "body")

@@ -29,14 +29,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike, choice, integer, real_number
+from rbjax.arguments import ArrayLike, choice, real_number
 from rbjax.dynamics import inertial_parameters, inertial_regressor
 from rbjax.dynamics.arguments import SHAPES, check_array, check_model, check_moves, shape_of
 from rbjax.errors import InputError
+from rbjax.flexible import (
+    elastic_names,
+    elastic_parameters,
+    elastic_regressor,
+    section_names,
+    section_parameters,
+    section_regressor,
+)
+from rbjax.joints import Flexible
 from rbjax.lanes import fusion_barrier
 from rbjax.model import Model
 from rbjax.sysid.parameters.log_cholesky import PARAMETERS
 from rbjax.sysid.statistics.rank import Combinations, combinations
+from rbjax.sysid.torque.motions import random_motions
 
 
 def _sign(v: jax.Array, v_0: float) -> jax.Array:
@@ -71,18 +81,19 @@ def regressor(
         v: (nv,) velocity.
         a: (nv,) acceleration.
         joint_terms: names from "armature", "viscous", "coulomb", "bias", "gear_loss". Each term
-            adds one column for every joint coordinate, except for free joints.
+            adds one column for every joint coordinate, except for free joints and beams.
         smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
             as in a real drive. If v_0 is larger than in the real drive, the estimated viscous
             friction is too small. For simulated data use the smoothing of the simulated friction.
         tau: (nv,) measured torques, required by "gear_loss".
 
     Returns:
-        (nv, 10 nb + joint columns), with columns in the order of `parameter_names`.
+        (nv, 10 nb + columns of beams and joints), in the order of `parameter_names`.
 
     Raises:
         UnknownName: an unknown joint term.
         InputError: wrong arrays, a negative smoothing, or "gear_loss" without tau.
+        ModelError: a flexible link that is not a beam; its inertia is not linear in its numbers.
 
     Source: Khalil & Dombre, ch. 12.
 
@@ -100,7 +111,10 @@ def regressor(
     if tau is not None:
         check_model("regressor", model)
         tau = check_array("regressor", "tau", tau, (model.nv,))
-    Y = inertial_regressor(model, q, v, a)
+    if _has_flexible_links(model):
+        Y = jnp.concatenate([section_regressor(model, q, v, a), elastic_regressor(model, q, v)], 1)
+    else:
+        Y = inertial_regressor(model, q, v, a)
     if not joint_terms:
         return Y
     at = joint_coordinates(model)
@@ -169,7 +183,8 @@ def observation_matrix(
 def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the names of the regressor's columns: "body.m", "body.hx", ..., "joint.armature", ...
 
-    The coordinates of a ball joint are "joint.armature[k]".
+    The coordinates of a ball joint are "joint.armature[k]". The columns of a beam are
+    "beam.mass_per_length[0]", ..., "beam.stiffness[k_y]", ..., "beam.viscosity[k_y]", ...
 
     Args:
         model: robot.
@@ -202,7 +217,8 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
         for term in joint_terms
         for k, place in zip(coordinates, places, strict=True)
     ]
-    return (*inertial, *joints)
+    beams = (*section_names(model), *elastic_names(model))
+    return (*inertial, *beams, *joints)
 
 
 def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array:
@@ -231,15 +247,23 @@ def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array
     at, joints = joint_coordinates(model), model.joints
     known = {"armature": joints.armature, "viscous": joints.damping}
     none = jnp.zeros_like(joints.armature)
-    return jnp.concatenate(
-        [inertial_parameters(model), *(known.get(term, none)[at] for term in joint_terms)]
-    )
+    beams = []
+    if _has_flexible_links(model):
+        beams = [section_parameters(model), elastic_parameters(model)]
+    terms = (known.get(term, none)[at] for term in joint_terms)
+    return jnp.concatenate([inertial_parameters(model), *beams, *terms])
+
+
+def _has_flexible_links(model: Model) -> bool:
+    return any(isinstance(joint, Flexible) for joint in model.topology.joints)
 
 
 def joint_coordinates(model: Model) -> np.ndarray:
-    """Return the indices of v of all joints except free joints, which have no motor or friction."""
-    top = model.topology
-    return np.array([i for i, k in enumerate(top.dofs) if top.joint_kinds[k.joint] != "free"], int)
+    """Return the indices of v of all joints except free joints and flexible links, which have no
+    motor or friction."""
+    joints = model.topology.joints
+    moved = [j.name != "free" and not isinstance(j, Flexible) for j in joints]
+    return np.array([i for i, k in enumerate(model.topology.dofs) if moved[k.joint]], int)
 
 
 def coordinate_rows(model: Model, rows: Sequence[int | str] | slice | None) -> np.ndarray:
@@ -340,40 +364,3 @@ def base_parameters(
         raise InputError(f"{where}: expected all of q, v and a, or none for random motions")
     W = observation_matrix(model, q, v, a, rows=rows, joint_terms=joint_terms, smoothing=smoothing)
     return combinations(W, names, tolerance=tolerance, first=first)
-
-
-def random_motions(
-    model: Model, samples: int, *, seed: int = 0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw random q (samples, nq), v and a (samples, nv).
-
-    Coordinates are uniform within 3 (rad, m) of the default, and attitudes are uniform. Velocities
-    and accelerations are normal with standard deviation 2.
-
-    Args:
-        model: robot.
-        samples: number of samples.
-        seed: of the random numbers.
-
-    Returns:
-        q (samples, nq), m and rad; v and a (samples, nv), SI units.
-
-    Raises:
-        InputError: not a model, or a number of samples below 1.
-
-    Example:
-        >>> import rbjax as rb
-        >>> from rbjax.sysid.torque import random_motions
-        >>> q, v, a = random_motions(rb.load("free_body"), 5)
-        >>> q.shape, a.shape
-        ((5, 7), (5, 6))
-    """
-    check_model("random_motions", model)
-    integer("random_motions", "samples", samples, least=1)
-    rng = np.random.default_rng(seed)
-    q = np.asarray(model.joints.reference) + rng.uniform(-3.0, 3.0, (samples, model.nq))
-    for start in model.topology.quaternion_starts:
-        turn = rng.normal(size=(samples, 4))
-        q[:, start : start + 4] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    v, a = rng.normal(scale=2.0, size=(2, samples, model.nv))
-    return q, v, a

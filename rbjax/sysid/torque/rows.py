@@ -32,7 +32,6 @@ from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
-    joint_coordinates,
     observation_matrix,
     parameter_names,
 )
@@ -115,11 +114,12 @@ def torque_rows(
     smoothing: float = 0.0,
     zeros: Any = None,
 ) -> TorqueRows:
-    """Compute the filtered equations of a recording of hinges and slides, for `regress`.
+    """Compute the filtered equations of a recording of hinges, slides and beams, for `regress`.
 
     Args:
         model: robot. Only its kinematics and gravity are used.
-        recording: recording with channels "q" (rad or m) and "tau" (N m or N). A spline bridges
+        recording: recording with channels "q" (rad or m) and "tau" (N m or N), with a column for
+            each coordinate of a beam, as of strain gauges; its tau is zero. A spline bridges
             gaps that are shorter than a quarter of a period of `signal_cutoff` or than 3 samples.
             Longer gaps split the recording.
         cutoff: cut-off frequency in Hz of the filter on both sides of the equations.
@@ -151,10 +151,10 @@ def torque_rows(
     """
     where = "torque_rows"
     check_model(where, model)
-    if model.nq != model.nv or len(joint_coordinates(model)) < model.nv:
+    if model.nq != model.nv:
         raise InputError(
             f"{where}: the model has {model.nq} positions and {model.nv} velocities, expected "
-            "hinges and slides only"
+            "hinges, slides and beams only"
         )
     fix = "one Recording; call it for each of several"
     instance(where, "recording", recording, Recording, fix)
