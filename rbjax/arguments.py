@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -206,14 +206,16 @@ def flag(where: str, name: str, value: Any) -> bool:
     return bool(value)
 
 
-def choice(kind: str, name: Any, known: Collection[str]) -> str:
-    """Check that a name is one of the known names, and return it.
+def choice(
+    kind: str, name: Any, known: Collection[str], synonyms: Mapping[str, str] | None = None
+) -> str:
+    """Check that a name is one of the known names, and return it. `synonyms` as in `UnknownName`.
 
     Raises:
         UnknownName: another name, or not a string.
     """
     if not isinstance(name, str) or name not in known:
-        raise UnknownName(kind, name, known)
+        raise UnknownName(kind, name, known, synonyms=synonyms)
     return name
 
 

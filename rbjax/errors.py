@@ -52,6 +52,7 @@ class UnknownName(RbjaxError, KeyError):
 
     apart: the valid names by kind, such as {"joint": [...], "site": [...]}, if there are several
         lists; None for one list.
+    synonyms: other words for valid names, such as those of a book: word -> valid name.
     """
 
     def __init__(
@@ -61,12 +62,14 @@ class UnknownName(RbjaxError, KeyError):
         valid: Iterable[str] = (),
         *,
         apart: Mapping[str, Sequence[str]] | None = None,
+        synonyms: Mapping[str, str] | None = None,
     ):
         groups = {kind: list(valid)} if apart is None else apart
         known = [n for names in groups.values() for n in names]
         shown = repr(name) if len(repr(name)) <= 80 else f"{repr(name)[:77]}..."
         text = [str(n) for n in known]
-        near = difflib.get_close_matches(str(name)[:80], text, 1)
+        meant = (synonyms or {}).get(str(name))
+        near = [meant] if meant else difflib.get_close_matches(str(name)[:80], text, 1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         lists = (
             f"known {'' if apart is None else word + ' '}names: {_nearest(x, name)}"

@@ -14,6 +14,8 @@ from rbjax.wheeled.models.slipping import Slipping
 from rbjax.wheeled.robot.robot import Robot
 
 _FIDELITIES = (Kinematic, ReducedModel, Dynamical, QuasiVelocities, Constrained, Slipping)
+#: the word of Olguín Díaz, 8.3
+_SYNONYMS = {"kinematical": ReducedModel.name}
 
 
 def fidelities() -> dict[str, type[RobotModel]]:
@@ -49,7 +51,7 @@ def at(robot: Robot, fidelity: str, **options: Any) -> RobotModel:
     """
     public = 'a Robot, as rbjax.wheeled.kinds()["car"].make() gives it'
     instance("at", "robot", robot, Robot, public)
-    made = fidelities()[choice("fidelity", fidelity, fidelities())]
+    made = fidelities()[choice("fidelity", fidelity, fidelities(), _SYNONYMS)]
     valid = [f.name for f in dataclasses.fields(made) if f.name != "robot"]
     for name in options:
         if name not in valid:

@@ -65,5 +65,7 @@ def test_names_of_what_is_not_there():
     for wrong in ("nope", 3):
         with pytest.raises(rb.UnknownName, match=f"fidelity '?{wrong}"):
             rb.wheeled.at(UNICYCLE, wrong)
+    with pytest.raises(rb.UnknownName, match="did you mean 'reduced'"):  # a book's word
+        rb.wheeled.at(UNICYCLE, "kinematical")
     with pytest.raises(rb.InputError, match="from_file: radius is 3, expected a mapping"):
         _mapping("radius", 3)
