@@ -78,6 +78,17 @@ def _equal(value: Any, wanted: Any) -> bool:
     return value in wanted if isinstance(wanted, tuple) else value == wanted
 
 
+def evaluation(training: Row) -> Row:
+    """The evaluation after a training, or the last report of a training that was cut.
+
+    >>> evaluation({"curve": [{"reward": 3.0}]})["return"]
+    3.0
+    """
+    report = training["curve"][-1]
+    last = {"return": report.get("reward"), "std": report.get("reward_std"), "episodes": None}
+    return training.get("evaluation") or last
+
+
 def versions(name: str) -> str:
     """The versions of the packages that took part, as one line."""
     found = read(name)["provenance"].get("versions", {})

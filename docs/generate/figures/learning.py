@@ -28,7 +28,7 @@ def _trained(task: str, algorithm: str, device: str, column: str = "return") -> 
     file = f"training-{task}-{algorithm}-{device}"
     if column != "return":
         return Number(file, column, scale=1e-6 if column == "steps" else 1.0)
-    return Number(file, lambda row: row["evaluation"]["return"])
+    return Number(file, lambda row: measured.evaluation(row)["return"])
 
 
 def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:

@@ -1,15 +1,8 @@
 """Environments and training."""
 
+from docs.generate.measured import evaluation
 from docs.generate.subjects.tables import Column as C
 from docs.generate.subjects.tables import Pivot, Table
-
-
-def _last(row: dict) -> dict:
-    """The evaluation after a training, or the last report of one without."""
-    report = row["curve"][-1]
-    last = {"return": report.get("reward"), "std": report.get("reward_std"), "episodes": None}
-    return row.get("evaluation") or last
-
 
 TABLES = {
     "environments": Pivot(
@@ -32,9 +25,9 @@ TABLES = {
             C("steps"),
             C("seconds", "seconds, with compiling"),
             C(lambda row: row["steps"] / row["seconds"] / 1e6, "million steps a second, all in", 2),
-            C(lambda row: _last(row)["return"], "return"),
-            C(lambda row: _last(row)["std"], "its standard deviation", 2),
-            C(lambda row: _last(row)["episodes"], "episodes"),
+            C(lambda row: evaluation(row)["return"], "return"),
+            C(lambda row: evaluation(row)["std"], "its standard deviation", 2),
+            C(lambda row: evaluation(row)["episodes"], "episodes"),
             C(lambda row: row.get("judge") or row["task"], "of the task"),
         ),
     ),

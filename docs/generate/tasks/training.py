@@ -28,8 +28,7 @@ def results(curves: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     for (algorithm, device), row in curves.items():
         last = row["curve"][-1]
         same = row.get("judge", row["task"]) == row["task"]
-        reward = row.get("evaluation", {}).get("return") if same else None
-        reward = last["reward"] if reward is None else reward
+        reward = measured.evaluation(row)["return"] if same else last["reward"]
         figures = f"{last['steps'] / 1e6:.3g} M", f"{last['seconds']:.0f}", f"{reward:.4g}"
         yield ALGORITHMS[algorithm], device, *figures
 
