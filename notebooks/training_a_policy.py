@@ -208,8 +208,8 @@ for axis, (name, policy) in zip(axes, named.items(), strict=True):
     axis.plot(angle[~good], rate[~good], "x", color="tab:red", label="not")
     axis.set(title=f"{name}: {good.mean():.1%}", xlabel="first angle, rad")
 axes[0].set(ylabel="rate, rad/s")
-axes[1].legend(loc="upper right")
-figure.tight_layout()
+figure.tight_layout(rect=(0, 0, 0.9, 1))
+axes[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), markerscale=2)
 plt.show()
 
 # %%
