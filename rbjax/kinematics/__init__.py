@@ -1,6 +1,6 @@
 """Inverse kinematics for goals of bodies and sites, on position level and on velocity level.
 
-`inverse_kinematics` searches a configuration from many starts (`position_level`, `restarts`).
+`inverse_kinematics` searches for a configuration from many starts (`position_level`, `restarts`).
 `differential_inverse_kinematics` solves one quadratic program per control step (`velocity_level`).
 """
 

@@ -80,7 +80,7 @@ def differential_inverse_kinematics(
         speed: the largest speed of each coordinate, rad/s or m/s, a number or (nv,).
         dt: s, the step within which no joint passes the end of its range; None ignores the ranges.
         rest: (nv,) preferred velocity in the null space of the goals; zero if None.
-        damping: d, which also bounds v near singular configurations.
+        damping: the weight of |v - rest|^2, which bounds v near singular configurations.
 
     Returns:
         `DifferentialInverseKinematics`.

@@ -55,7 +55,8 @@ class Joints(Record):
 class Actuators(Record):
     """Actuators with force = clip((g0 + g1 l + g2 l') clip(u) + b0 + b1 l + b2 l'), l = gear . q.
 
-    There is one row for each control. Rows of actuators in `Model.forces` are zero.
+    One row for each control u; l is the length of the transmission, as in MuJoCo. Rows of actuators
+    that are force elements, in `Model.forces`, are zero.
 
     gear: (nu, 6); at a site it is a wrench [force; torque] in the axes of the site.
     gain, bias: (nu, 3), g and b.
@@ -80,7 +81,7 @@ class Sites(Record):
 
 
 class Keyframes(Record):
-    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu), and x (nk, n) of the file's elements."""
+    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu), and x (nk, n) of force elements."""
 
     q: jax.Array
     v: jax.Array

@@ -17,7 +17,7 @@ class SolverParameters(Record):
     """Parameters of joint limits, friction loss and contacts, as in MuJoCo.
 
     The parameters of geoms are in `model.geoms`, and the limits themselves in `joints.range`. A
-    changed value compiles nothing anew. Set `rubbing` to give friction loss to further dofs.
+    changed value does not compile again. Set `rubbing` to give friction loss to further dofs.
 
     Fields:
         impratio: (), ratio of the frictional to the normal impedance of a contact.

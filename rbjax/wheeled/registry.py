@@ -34,7 +34,9 @@ def at(robot: Robot, fidelity: str, **options: Any) -> RobotModel:
 
     Args:
         robot: `Robot`.
-        fidelity: a name of `fidelities`.
+        fidelity: a name of `fidelities`. "kinematic" has no inertia; "reduced" has inertia and
+            rolling wheels; "slipping" has tyres. The others give the motion of
+            "reduced" by other equations.
         options: fields of the model's class, such as `tyre` of "slipping".
 
     Returns:

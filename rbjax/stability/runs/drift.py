@@ -55,7 +55,7 @@ Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
 
 @displayed
 class March(eqx.Module):
-    """The result of a run.
+    """The result of `drift`: samples along a run, and how it ended.
 
     Fields:
         ts: (K + 1,) s; nan after an early end.

@@ -119,7 +119,7 @@ def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
 
 
 def growth_factors(solver: Method, z: Any) -> np.ndarray:
-    """Measure the growth factors of y in one step of the code on y' = lambda y, z = h lambda.
+    """Measure the growth factors of y in one step of a solver on y' = lambda y, z = h lambda.
 
     Args:
         solver: a name of `rb.solvers.all()`, a solver, a tableau, or a result of
@@ -158,7 +158,7 @@ def frequencies(h_omega: Any) -> np.ndarray:
 
 
 def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """Measure the growth factors of an oscillation in one step of the code, largest first.
+    """Measure the growth factors of an oscillation in one step of a solver's code, largest first.
 
     Args:
         solver: a name of `rb.solvers.all()`, a diffrax solver of vector fields or of q' = v,
@@ -232,7 +232,7 @@ def _principal(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
-    """Measure the numerical damping ratio xi' of one step of the code on an undamped oscillation.
+    """Measure the numerical damping ratio xi' of one step of a solver on an undamped oscillation.
 
     xi' = -ln |zeta| / arg zeta, with the factor zeta that approximates exp(i Omega).
 

@@ -33,7 +33,7 @@ class RobotSystem(System):
     Fields:
         robot_model: the `RobotModel`.
         integrator: static, of `rollout`.
-        parts: static, the number of its steps in one step of the problem.
+        parts: static, the number of integrator steps in one step of the problem.
     """
 
     robot_model: RobotModel
@@ -133,7 +133,7 @@ def controlled(model: RobotModel, *, integrator: str = "rk4", parts: int = 1) ->
     Args:
         model: `at(robot, fidelity)`.
         integrator: of `rollout`.
-        parts: the number of its steps in one step of the problem, with the same controls.
+        parts: the number of integrator steps in one step of the problem, with the same controls.
 
     Returns:
         `RobotSystem`.

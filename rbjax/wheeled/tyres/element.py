@@ -77,7 +77,10 @@ class Contact(NamedTuple):
 class TyreOnGround(Element):
     """Force element of the tyre of a wheel on a plane: load, traction and rolling resistance.
 
-        F = N (n + mu_x x + mu_y y),    N = stop_force(r - D, ...) / sin(lean)
+        F = N (n + mu_x x + mu_y y),    N = (k d + damping d') / sin(lean),    d = r - D
+
+    D is the distance from the wheel's centre to the plane along the disc of the wheel, and lean the
+    angle between axle and normal. N is smooth below the depth `onset`, and not negative.
 
     Its state is the state of a `Relaxing` tyre. Camber thrust and the torques about n and x are not
     included. The axle must not be normal to the plane.
@@ -90,7 +93,7 @@ class TyreOnGround(Element):
         radius: r (), m.
         stiffness: k (), N/m.
         damping: (), N s/m.
-        onset: (), of the spring, m.
+        onset: (), the depth from which on the spring is linear, m.
         resistance: a `RollingResistance` or None.
 
     Source: Rill & Castro, *Road Vehicle Dynamics*, 2nd ed. 2020, 3.1 and 3.2.
