@@ -2,9 +2,8 @@
 
 `python -m benchmarks.gpu.flexible` writes results/gpu-flexible-<device>.json: beams of 8 and of 52
 coordinates (`benchmarks.cases.beams`), `jax.vmap` of `rb.forward_dynamics`, batch first, in f64 and
-f32; its vjp by q, v and tau, as one kernel and "in three" kernels of less code each (acceleration,
-M^-1 w, gradient of inverse dynamics); and steps of `rb.rollout` with elasticity and damping. On a
-CPU it measures the same with a smaller batch.
+f32; its vjp by q, v and tau, which on a GPU includes the forward pass; and steps of `rb.rollout`
+with elasticity and damping. On a CPU it measures the same with a smaller batch.
 """
 
 from __future__ import annotations
@@ -40,15 +39,6 @@ def rows(names: list[str], batch: int, *, gradient: bool) -> Iterator[dict]:
                     return jax.vjp(forward, q, v, tau)[1](w)
 
                 yield timed(row | {"run": "vjp"}, back, q, v, tau, w, work=batch)
-                inverse = jax.vmap(functools.partial(rb.inverse_dynamics, model))
-
-                def in_three(q, v, tau, w, forward=forward, inverse=inverse):
-                    a = forward(q, v, tau)
-                    (rates,) = jax.vjp(lambda tau: forward(q, v, tau), tau)[1](w)
-                    by_state = jax.vjp(lambda q, v: inverse(q, v, a), q, v)[1](-rates)
-                    return *by_state, rates
-
-                yield timed(row | {"run": "vjp in three"}, in_three, q, v, tau, w, work=batch)
             some = rb.State(q[: batch // 4], v[: batch // 4])
 
             def last(state, model=model):

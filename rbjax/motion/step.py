@@ -15,6 +15,7 @@ from rbjax.constraints.formulation import Formulation
 from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.impact_bias import warn_of_impacts
 from rbjax.contact.soft import SoftContact
+from rbjax.dynamics.algorithms.aba import saves_factors
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import is_traced
 from rbjax.forces.inputs import Inputs, Source, inputs_at
@@ -87,7 +88,7 @@ def acceleration(
     )
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", where="acceleration")
+@algorithm("state", "ctrl", "tau", "wrenches", "t", where="acceleration", saves=saves_factors)
 def _acceleration(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
     *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None, contact: Any = None,

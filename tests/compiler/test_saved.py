@@ -17,6 +17,7 @@ from rbjax.compiler.jax import saved
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program, traced
 from rbjax.compiler.jax.saved import HELD_UP_TO, SavedVjp, without_nested
+from rbjax.lanes import fusion_barrier
 from tests.tolerances import F64_IDENTITY
 
 X, Y = np.array([0.3, -1.2, 0.7]), np.array([1.5, 0.2, -0.4])
@@ -105,6 +106,14 @@ def test_values_that_are_saved_are_not_computed_again():
     assert count(back, "log") == 0 and count(back, "argmax") == 0
     # the derivative by x alone reads no less
     assert SavedVjp.of(program_of(equations), (True, False)).residuals.shape == (4,)
+
+
+def test_a_value_that_only_a_fusion_barrier_reads_is_not_saved():
+    def f(x, y):
+        z, u = (checkpoint_name(jnp.exp(a), "factors") for a in (x, y))
+        return [fusion_barrier((z * y, u * x))[0]]
+
+    assert SavedVjp.of(program_of(f), BOTH).residuals.shape == (3,)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -33,10 +33,15 @@ Transposed = Callable[..., ClosedJaxpr]
 def needed(
     eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: bool = False
 ) -> list[JaxprEqn]:
-    """Return the equations that compute `outs` from `given`, or that have effects if `effects`."""
+    """Return the equations that compute `outs` from `given`, or that have effects if `effects`.
+    Of a fusion barrier they keep only the values that are read."""
     wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
     for eqn in reversed(eqns):
-        if (effects and eqn.effects) or any(v in wanted and v not in known for v in eqn.outvars):
+        read = [v in wanted and v not in known for v in eqn.outvars]
+        if any(read) and eqn.primitive.name == "fusion_barrier":
+            ins, own = (_split(x, read)[1] for x in (eqn.invars, eqn.outvars))
+            eqn = eqn.replace(invars=ins, outvars=own)
+        if (effects and eqn.effects) or any(read):
             kept.append(eqn)
             wanted.update(a for a in eqn.invars if isinstance(a, Var))
     return kept[::-1]
@@ -140,7 +145,7 @@ class EquationKind:
         return _trace_dependent(back, [*still, *cotangents], n, 0, [True] * len(moved))
 
 
-def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
+def _split(xs: Sequence, moving: Sequence[bool]) -> tuple[list, list]:
     """Split xs into the entries whose flag in `moving` is False, and whose flag is True."""
     return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
 
@@ -309,8 +314,7 @@ class LinearisedJaxpr:
         for eqn in reversed(of_tangents):
             out = [sums.get(v) for v in eqn.outvars]
             present = [x is not None for x in out]
-            some = [x for x in out if x is not None]
-            if not some:
+            if not (some := [x for x in out if x is not None]):
                 continue
             moving = tuple(isinstance(a, Var) and a in linear for a in eqn.invars)
             if eqn.primitive.name == "fusion_barrier" and all(moving):
@@ -374,13 +378,12 @@ def _push_forward(
 def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
     """Return whether an equation computes values and tangents together."""
     moving = [isinstance(a, Var) and a in linear for a in eqn.invars]
-    if eqn.primitive.name == "fusion_barrier":
-        return any(moving) and not all(moving)
-    return any(moving) and _has_subjaxpr(eqn)
+    mixed = not all(moving) if eqn.primitive.name == "fusion_barrier" else _has_subjaxpr(eqn)
+    return any(moving) and mixed
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
-    """Return a copy of the optimization barrier `eqn` for other values."""
+    """Return a copy of a fusion barrier for other values."""
     return eqn.replace(outvars=[Var(a.aval) for a in some])
 
 

@@ -168,6 +168,8 @@ def _vjp_of_equations(
     if parts is None:
         return None
     linear, of_values, of_tangents = parts
+    along = [t for t in linearised.result_tangents if t is not None]
+    of_tangents = needed(of_tangents, along, linearised.tangents)
     named = [
         eqn.outvars[0] for eqn in of_values
         if eqn.primitive.name == "name" and eqn.params["name"] in LEFT

@@ -17,7 +17,7 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
 one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). The
 reverse derivative of RNEA of a tree with flexible links is the gradient of a power
-(virtual_power.py).
+(virtual_power.py). On a GPU it reads the acceleration and the factors of the forward pass.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.arguments import ArrayLike
+from rbjax.compiler.jax.launch import has_gpu
 from rbjax.dynamics.algorithms.factors import (
     AnyFactor,
     Column,
+    CoordinateFactor,
     Factor,
     FrameFactor,
     add_columns,
@@ -257,15 +259,23 @@ def name_factors(values: Any) -> Any:
 
 
 def named(factors: Any) -> Any:
-    """Name U and 1 / D of the factors of all links (`name_factors`)."""
+    """Name U and 1 / D of the factors of all links, and the rows of coordinates
+    (`name_factors`)."""
 
     def one(f: AnyFactor) -> AnyFactor:
         if isinstance(f, FrameFactor):
             return f
         U, inverse_D = name_factors((f.U, f.inverse_D))
-        return f._replace(U=U, inverse_D=inverse_D)
+        f = f._replace(U=U, inverse_D=inverse_D)
+        return f._replace(row=name_factors(f.row)) if isinstance(f, CoordinateFactor) else f
 
     return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, AnyFactor))
+
+
+def saves_factors(model: Model, *args: Any, **others: Any) -> bool:
+    """Return whether a reverse derivative saves the acceleration and the factors: on a GPU, for a
+    tree with flexible links. One kernel for all of it exceeds the instruction cache of 128 KiB."""
+    return bool(model.topology.frames) and has_gpu()
 
 
 def acceleration(
@@ -307,7 +317,7 @@ def acceleration(
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))[0]
 
 
-@algorithm("q", "v", "tau", "wrenches", long=True)
+@algorithm("q", "v", "tau", "wrenches", long=True, saves=saves_factors)
 def forward_dynamics(
     model: Model, q: ArrayLike, v: ArrayLike, tau: ArrayLike, wrenches: ArrayLike | None = None
 ) -> jax.Array:
