@@ -19,6 +19,7 @@ from tests.compiler.host import library
 BEYOND, POISON = 4096, 77
 
 HEAD = """
+#include <atomic>
 #include <barrier>
 #include <cmath>
 #include <cstring>
@@ -35,7 +36,7 @@ HEAD = """
 struct Index { int x; };
 struct alignas(16) uint4 { unsigned x, y, z, w; };
 static thread_local Index threadIdx, blockIdx;
-static std::barrier<> whole(THREADS);
+static std::unique_ptr<std::barrier<>> whole;
 static std::vector<std::unique_ptr<std::barrier<>>> warps;
 static double passed[THREADS];
 static float __int_as_float(int bits) { float x; memcpy(&x, &bits, 4); return x; }
@@ -53,9 +54,19 @@ static void __syncwarp() { __syncthreads(); }
 #else
 static void pass_on() {}
 static void wait_for_turn() {}
-static void __syncthreads() { whole.arrive_and_wait(); }
+static void __syncthreads() { whole->arrive_and_wait(); }
 static void __syncwarp() { warps[threadIdx.x / 32]->arrive_and_wait(); }
 #endif
+static std::atomic<int> votes;
+static bool __syncthreads_or(bool x) {
+  votes += x;
+  __syncthreads();
+  const bool out = votes > 0;
+  __syncthreads();
+  if (threadIdx.x == 0) votes = 0;
+  __syncthreads();
+  return out;
+}
 template <class T> static T __shfl_down_sync(unsigned, T x, int by) {
   passed[threadIdx.x] = x;
   __syncwarp();
@@ -72,6 +83,7 @@ extern "C" void run(int blocks, void** p) {{
   for (int k = 0; k < THREADS / 32; k++)
     warps.push_back(std::make_unique<std::barrier<>>(32));
   for (int b = 0; b < blocks; b++) {{  // one after the other: they share the statics
+    whole = std::make_unique<std::barrier<>>(THREADS);
     std::vector<std::thread> all;
     for (int t = 0; t < THREADS; t++)
       all.emplace_back([=] {{
@@ -79,6 +91,7 @@ extern "C" void run(int blocks, void** p) {{
         threadIdx.x = t;
         wait_for_turn();
         {name}({pointers});
+        whole->arrive_and_drop();  // a barrier waits for threads that have not returned
         if (t != LAST) pass_on();
       }});
     START;
@@ -108,7 +121,7 @@ def emulated(
     run = library(source, ("-std=c++20", "-O1", "-ffp-contract=off", "-pthread")).run
     ins = [np.ascontiguousarray(x) for x in operands]
     shapes = [
-        (kernel.grid, *x.shape) if summed else x.shape
+        (kernel.parts, *x.shape) if summed else x.shape
         for x, summed in zip(results, kernel.summed, strict=True)
     ]
     # poisoned, and longer than they should be

@@ -252,7 +252,7 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
     layouts = [BatchLayout((200, n), (0,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
     source = emitted(g, layouts, (200,))[0].source
     assert re.findall(r"load_rows<double,(\d+),(\d+)>", source) == [("20", "21")]
-    assert source.count("__shared__ double s1[") == 1
+    assert source.count("__shared__ double all_s1[") == 1
     assert re.findall(r"store_rows<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
     batch_last = [BatchLayout((n, 200), (1,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
@@ -272,14 +272,14 @@ def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
             b.load(array, None, 0)
     layout = BatchLayout((64, 3), (0,))
     program = Written(b, (), tuple(both), ((), (layout, layout)), (64,), (False, False))
-    assert ("uint4 tile[" in kernel(program).source) == (not in_turn and not read)
+    assert ("uint4 tiles[" in kernel(program).source) == (not in_turn and not read)
 
 
 def test_sums_are_taken_in_the_block():
     code, _ = emitted(
         lambda x: [x, (x * x).sum()], [BatchLayout((200, 3), (0,))], (200,), (False, True)
     )
-    assert code.grid == math.ceil(200 / code.block) and code.summed == (False, True)
+    assert code.parts == math.ceil(200 / 32) and code.summed == (False, True)
     assert re.findall(r"over_warp<double>\(.*?y(\d)\[", code.source) == ["1"]
 
 

@@ -162,7 +162,7 @@ def test_a_handler_of_an_unknown_version_runs_under_xla(monkeypatch, minor):
     monkeypatch.setattr(llvm_xla, "METADATA_ANSWER", answer)
     monkeypatch.setattr(launch, "_registered", dict(launch._registered))
     if minor == llvm_xla.MINOR:
-        assert launch.register_host_kernel(program()).grid == 1
+        assert launch.register_host_kernel(program()).parts == 1
         return
     with pytest.raises(Unsupported, match="a handler that XLA rejects"):
         launch.register_host_kernel(program())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -66,10 +66,14 @@ def _is_elementwise(loop: ir.Loop) -> bool:
 
 
 class Printer:
-    """A printer of blocks as C text. names: the C name of each array, by its id."""
+    """A printer of blocks as C text.
 
-    def __init__(self, names: dict[int, str]):
-        self.names = names
+    names: the C name of each array, by its id.
+    in_step: the loops whose turns all warps of a block begin together (`lockstep`), by `id`.
+    """
+
+    def __init__(self, names: dict[int, str], in_step: Collection[int] = ()):
+        self.names, self.in_step = names, in_step
 
     def value(self, x: ir.Value) -> str:
         return f"t{x.id}" if isinstance(x, ir.Var) else literal(x)
@@ -110,15 +114,23 @@ class Printer:
                     yield f"for(int {i}={count - 1};{i}>=0;{i}--){{"
                 else:
                     yield f"for(int {i}=0;{i}<{count};{i}++){{"
+                if id(statement) in self.in_step:
+                    yield "__syncthreads();"
                 yield from self.lines(body)
                 yield "}"
             case ir.While(test=test, condition=condition, body=body):
                 yield "#pragma unroll 1"
                 yield "for(;;){"
                 yield from self.lines(test)
-                yield f"if(!({v(condition)}))break;"
-                yield from self.lines(body)
-                yield "}"
+                if id(statement) in self.in_step:
+                    yield f"if(!__syncthreads_or({v(condition)}))break;"
+                    yield f"if({v(condition)}){{"
+                    yield from self.lines(body)
+                    yield "}}"
+                else:
+                    yield f"if(!({v(condition)}))break;"
+                    yield from self.lines(body)
+                    yield "}"
             case ir.If(condition=condition, then=then, otherwise=otherwise):
                 yield f"if({v(condition)}){{"
                 yield from self.lines(then)

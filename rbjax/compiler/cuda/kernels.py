@@ -1,9 +1,10 @@
-"""Prints a program as a CUDA kernel with one thread per sample and one warp per block.
+"""Prints a program as a CUDA kernel with one thread per sample.
 
 The warp loads rows of a batch-first operand through shared memory, so that it reads whole cache
 lines. Batch-first results are stored in the same way (`stores`). Other layouts are read and written
 in place. A result that all samples share (the cotangent of an operand without a batch) is summed
-over the warp, which stores one partial sum per block.
+over the warp, which stores one partial sum. A block is one warp, so that no warp waits for another;
+or several warps, if a long program is faster when they run it in step (`lockstep`).
 """
 
 from __future__ import annotations
@@ -12,15 +13,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rbjax.compiler.cuda import stores
+from rbjax.compiler.cuda import lockstep, stores
 from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.statements import Unsupported
 
-#: threads of a block: one warp, so that no warp waits for another
-BLOCK = 32
-#: bytes of shared memory in which a block stages its rows
+WARP = 32
+#: bytes of shared memory in which the warps of a block stage their rows
 SHARED_BYTES = 47 * 1024
 #: bytes of constant memory for tables; further tables are read through the cache
 CONSTANT_BYTES = 48 * 1024
@@ -39,6 +39,7 @@ typedef float c_float;
 typedef double c_double;
 """
 HEAD = """
+#define LANE ((int)threadIdx.x % 32)
 #define AT_ONCE 16
 // what does not fit into registers goes to shared memory: local memory that L1 cannot hold is L2's
 #if __CUDACC_VER_MAJOR__ >= 13
@@ -47,18 +48,18 @@ HEAD = """
 #define SPILL_TO_SHARED
 #endif
 template <class T, int N, int PITCH> QUALIFIED void load_rows(T* to, const T* from, int rows) {
-  if (rows < BLOCK) {
-    for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
+  if (rows < 32) {
+    for (int k = LANE; k < rows * N; k += 32) to[PITCH == N ? k : k + k / N] = from[k];
     return;
   }
   for (int first = 0; first < N; first += AT_ONCE) {  // many reads on their way at a time
     T held[AT_ONCE];
 #pragma unroll
     for (int j = 0; j < AT_ONCE; j++)
-      if (first + j < N) held[j] = from[(first + j) * BLOCK + threadIdx.x];
+      if (first + j < N) held[j] = from[(first + j) * 32 + LANE];
 #pragma unroll
     for (int j = 0; j < AT_ONCE; j++) {
-      const int k = (first + j) * BLOCK + threadIdx.x;
+      const int k = (first + j) * 32 + LANE;
       if (first + j < N) to[PITCH == N ? k : k + k / N] = held[j];
     }
   }
@@ -72,13 +73,17 @@ template <class T> QUALIFIED T over_warp(T x) {
 
 @dataclass(frozen=True)
 class Kernel:
-    """The CUDA source of a program, and its launch parameters."""
+    """The CUDA source of a program, and its launch parameters.
+
+    parts: number of parts of the batch. Each summed result has one row per part.
+    summed: for each result, whether it is summed over the batch.
+    """
 
     source: str
     name: str
     block: int
     grid: int
-    #: for each result, whether it is one partial sum per block
+    parts: int
     summed: tuple[bool, ...]
 
 
@@ -90,14 +95,17 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
     bytes = program.array_bytes + sum(a.size * a.dtype.itemsize for a in sums)
     if bytes > ARRAY_BYTES_UP_TO:
         raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
-    source = "\n".join(_lines(program, name, _plan_shared_memory(program)))
-    grid = max(-(-math.prod(program.batch) // BLOCK), 1)
-    return Kernel(source, name, BLOCK, grid, program.summed)
+    parts = max(-(-math.prod(program.batch) // WARP), 1)
+    loops = lockstep.loops_in_step(program)
+    warps = lockstep.warps_of_block(parts) if loops else 1
+    room = _plan_shared_memory(program, SHARED_BYTES // (WARP * warps))
+    source = "\n".join(_lines(program, name, room, warps, parts, loops if warps > 1 else set()))
+    return Kernel(source, name, WARP * warps, -(-parts // warps), parts, program.summed)
 
 
 @dataclass(frozen=True)
 class SharedMemoryPlan:
-    """The allocation of a block's shared memory. Arrays are identified by their id.
+    """The allocation of a warp's shared memory. Arrays are identified by their id.
 
     staged: for each operand that is loaded through shared memory, the entries of a row.
     whole: results whose rows are staged as a whole.
@@ -118,10 +126,12 @@ def _pitch(row: int) -> int:
     return row | 1
 
 
-def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
+def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
     """Allocate shared memory to results staged as a whole, to the tile, and then to operands.
-    While the results do not fit, the largest one goes through the tile instead."""
-    left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
+    While the results do not fit, the largest one goes through the tile instead.
+
+    left: bytes for a thread."""
+    kinds = {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
     whole = {key: stores.whole_rows(kinds[key], rows[key]) for key in short}
@@ -149,21 +159,26 @@ def _plan_shared_memory(program: Written) -> SharedMemoryPlan:
     return SharedMemoryPlan(staged, whole, tiled, spots, tile)
 
 
-def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]:
+def _lines(
+    program: Written, name: str, room: SharedMemoryPlan, warps: int, parts: int, in_step: set[int]
+) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
-    yield f"#define BLOCK {BLOCK}"
     yield BASICS + HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
-    yield f'extern "C" __global__ void __launch_bounds__({BLOCK}) {name}('
+    yield f'extern "C" __global__ void __launch_bounds__({WARP * warps}) {name}('
     yield parameters(program, "__restrict__") + "){SPILL_TO_SHARED"
-    yield f"const long long first=(long long)blockIdx.x*{BLOCK};"
-    yield f"const int rows={size}ll-first<{BLOCK}?(int)({size}ll-first):{BLOCK};"
+    yield f"const int warp={'(int)threadIdx.x/32' if warps > 1 else '0'};"
+    yield f"const long long part=(long long)blockIdx.x*{warps}+warp;"
+    if parts % warps:
+        yield f"if(part>={parts})return;"  # barriers wait for threads that have not returned
+    yield "const long long first=part*32;"
+    yield f"const int rows={size}ll-first<32?(int)({size}ll-first):32;"
     # a thread beyond the batch repeats the last sample, which has no effect
-    yield "const int own=(int)threadIdx.x<rows?(int)threadIdx.x:rows-1;"
+    yield "const int own=LANE<rows?LANE:rows-1;"
     yield "const long long b=first+own;"
     names: dict[int, str] = {}
     for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
@@ -173,13 +188,16 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
             yield f"const {kind}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
         else:
             pitch = _pitch(row)
-            yield f"__shared__ {kind} s{k}[{pitch * BLOCK}];"
+            yield f"__shared__ {kind} all_s{k}[{pitch * WARP * warps}];"
+            yield f"{kind}* const s{k}=all_s{k}+warp*{pitch * WARP};"
             yield f"load_rows<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
     if room.staged:
         yield "__syncwarp();"
     if room.tiled:
-        yield f"__shared__ uint4 tile[{room.tile * BLOCK // 16}];"
+        words_of_tile = room.tile * WARP // 16
+        yield f"__shared__ uint4 tiles[{words_of_tile * warps}];"
+        yield f"uint4* const tile=tiles+warp*{words_of_tile};"
     tiles: dict[int, tuple[int, stores.RowTile]] = {}
     leaving = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
@@ -189,8 +207,10 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
             yield f"{kind} y{k}[{max(array.size, 1)}];"
         elif key in room.whole:
             n, pitch = room.whole[key].size, room.whole[key].pitch
-            yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * BLOCK // 16}];"
-            yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
+            words = room.whole[key].bytes * WARP // 16
+            yield f"__shared__ uint4 all_o{k}[{words * warps}];"
+            yield f"uint4* const o{k}=all_o{k}+warp*{words};"
+            yield f"{kind}* const y{k}=({kind}*)o{k}+LANE*{pitch};"
             leaving.append(f"store_rows<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
         elif key in room.tiled:
             tiles[key] = k, room.tiled[key]
@@ -199,7 +219,8 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-    printer = stores.StorePrinter(names, tiles, room.spots, stores.streaming_arrays(program))
+    streaming = stores.streaming_arrays(program)
+    printer = stores.StorePrinter(names, tiles, room.spots, streaming, in_step)
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)
@@ -207,13 +228,13 @@ def _lines(program: Written, name: str, room: SharedMemoryPlan) -> Iterator[str]
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Print the code that sums results over the samples of a thread block."""
+    """Print the code that sums results over the samples of a warp."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue
         kind, n = c_type(array.dtype), array.size
         yield "" if n <= 64 else "#pragma unroll 1"
         yield f"for(int i=0;i<{n};i++){{"
-        yield f"const {kind} t=over_warp<{kind}>((int)threadIdx.x<rows?y{k}[i]:({kind})0);"
-        yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]=t;"
+        yield f"const {kind} t=over_warp<{kind}>(LANE<rows?y{k}[i]:({kind})0);"
+        yield f"if(LANE==0)r{k}[part*{n}+i]=t;"
         yield "}"

@@ -31,7 +31,7 @@ ALIGN = 32
 HEAD = """
 // stores a warp's whole rows, of N entries, to memory without gaps
 template <class T, int N, int PITCH> QUALIFIED void store_rows(T* to, const T* from, int rows) {
-  const int lane = threadIdx.x;
+  const int lane = LANE;
   __syncwarp();
   if (PITCH == N && rows == 32) {
     constexpr int wide = 32 * N * sizeof(T) / 16;
@@ -47,7 +47,7 @@ template <class T, int N, int PITCH> QUALIFIED void store_rows(T* to, const T* f
 // stores entries FROM to UPTO of row r, both shifted by the row's misalignment to aligned memory
 template <class T, int N, int FROM, int UPTO, int MARGIN, int PITCH>
 QUALIFIED void store_chunk(T* to, const T* tile, int r, int misalignment) {
-  const int lane = threadIdx.x, upto = UPTO < N ? UPTO - misalignment : N;
+  const int lane = LANE, upto = UPTO < N ? UPTO - misalignment : N;
 #pragma unroll
   for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
     const int k = FROM - misalignment + c + lane;
@@ -73,7 +73,7 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
   __syncwarp();
   if (UPTO < N)
     for (int c = 0; c < MARGIN; c++) {
-      T* const row = tile + threadIdx.x * PITCH;
+      T* const row = tile + LANE * PITCH;
       row[c] = row[c + UPTO - FROM];
     }
 }
@@ -237,9 +237,9 @@ class StorePrinter(Printer):
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, RowTile]],
-        spots: dict[int, TileSlot], streaming: set[int],
+        spots: dict[int, TileSlot], streaming: set[int], in_step: set[int],
     ):  # fmt: skip
-        super().__init__(names)
+        super().__init__(names, in_step)
         self.tiles, self.spots, self.streaming = tiles, spots, streaming
 
     def _lines(self, statement: ir.Statement) -> Iterator[str]:
@@ -259,7 +259,7 @@ class StorePrinter(Printer):
     def _through_tile(self, store: ir.Store, spot: TileSlot) -> Iterator[str]:
         k, rows = self.tiles[store.array.id]
         kind, pitch = c_type(rows.dtype), rows.pitch
-        yield f"w{k}[threadIdx.x*{pitch}+{spot.at}]={self.value(store.value)};"
+        yield f"w{k}[LANE*{pitch}+{spot.at}]={self.value(store.value)};"
         if not spot.last:
             return
         to = f"v{k}" if store.base is None else f"v{k}+{self.value(store.base)}"

@@ -55,7 +55,7 @@ def kernel(program: Written, name: str = "threads", team: int | None = None) -> 
     samples = math.prod(program.batch)
     team = team or team_size(samples)
     source = "\n".join(_lines(program, name, team))
-    return Kernel(source, name, team, samples, program.summed)
+    return Kernel(source, name, team, samples, samples, program.summed)
 
 
 def fits(program: Written) -> bool:

@@ -140,11 +140,11 @@ mlir.register_lowering(_gpu_kernel, _lower_gpu_kernel, platform="cuda")
 class HostKernel:
     """A registered handler of machine code.
 
-    grid: number of parts of the batch. Each summed result has one row per part.
+    parts: number of parts of the batch. Each summed result has one row per part.
     """
 
     name: str
-    grid: int
+    parts: int
 
 
 #: code that XLA may call; never freed, because XLA does not report when it drops a handler
@@ -216,7 +216,7 @@ def kernels_work() -> bool:
     """Return whether NVRTC compiles and XLA launches kernels. The first call runs a self-test."""
 
     def double(x: np.ndarray) -> jax.Array:
-        test = Kernel(SELF_TEST, "self_test", x.size, 1, (False,))
+        test = Kernel(SELF_TEST, "self_test", x.size, 1, 1, (False,))
         run = jax.jit(lambda x: launch_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
         return run(jax.device_put(x, oldest_gpu()))
 

@@ -155,7 +155,7 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
         code = _kernel(platform, program, batch, ins, outs, shapes, summed)
         results = [
             ShapedArray(
-                (code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype
+                (code.parts, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype
             )
             for a, axes, s in zip(program.outputs, outs, summed, strict=True)
         ]

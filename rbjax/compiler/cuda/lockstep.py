@@ -1,0 +1,50 @@
+"""Chooses the loops that the warps of a block run in step.
+
+A program that is longer than the instruction cache is bound by the fetch of its instructions from
+the second cache. Warps that are at the same instructions share a fetch. So they wait for one
+another at each turn of a rollout, and at each iteration of a solver in it. The price is that a
+block waits for the slowest of its samples: a loop that is not in a counted loop, as one over the
+steps of an adaptive solver, is left as it is.
+
+`python -m benchmarks.gpu.contact` measures rollouts with contacts.
+"""
+
+from __future__ import annotations
+
+from rbjax.compiler.ir import statements as ir
+from rbjax.compiler.ir.program import Written
+
+#: operations of a program, and of a loop, below which the instruction cache holds it
+LONG_PROGRAM, LONG_LOOP = 8_000, 1_000
+#: the most warps of a block: with 255 registers a thread, all that a multiprocessor holds
+MOST_WARPS = 8
+#: the multiprocessors of a large GPU; a small batch is spread over all of them
+MULTIPROCESSORS = 132
+
+
+def loops_in_step(program: Written) -> set[int]:
+    """Return the loops whose turns the warps of a block begin together, by `id`."""
+    found: set[int] = set()
+    if program.statements > LONG_PROGRAM:
+        _add_loops(program.builder.block, found, counted=False)
+    return found
+
+
+def warps_of_block(warps: int) -> int:
+    """Return the number of warps of a block, for a batch of this number of warps."""
+    return min(-(-warps // MULTIPROCESSORS), MOST_WARPS)
+
+
+def _add_loops(block: ir.Block, found: set[int], *, counted: bool) -> None:
+    """Add long loops that all threads of a block enter: in no branch and in no `while` loop."""
+    for s in block.statements:
+        turns = isinstance(s, ir.Loop)
+        if (turns or (counted and isinstance(s, ir.While))) and _length(s) > LONG_LOOP:
+            found.add(id(s))
+        if isinstance(s, ir.Loop):
+            _add_loops(s.body, found, counted=True)
+
+
+def _length(s: ir.Statement) -> int:
+    """Return the number of operations in a statement's blocks."""
+    return sum(isinstance(x, ir.Op) for block in s.children() for x in ir.walk(block))
