@@ -237,7 +237,7 @@ def nearest_pseudo_inertia(P: ArrayLike, margin: float = 1e-6) -> jax.Array:
         raise InputError(f"{where}: P has shape {shape}, expected (..., 4, 4)")
     if not isinstance(P, jax.core.Tracer):
         numbers = real_array(where, "P", P)
-        P = P if np.asarray(P).dtype.kind == "f" else numbers
+        P = jnp.asarray(P if np.asarray(P).dtype.kind == "f" else numbers)
     P = jnp.asarray(P)
     w, V = jnp.linalg.eigh((P + jnp.swapaxes(P, -1, -2)) / 2)
     least = margin * w[..., -1:]
