@@ -92,8 +92,8 @@ def robot(name: str) -> dict[str, Any]:
     for _ in range(TURNS):
         for engine, call in calls.items():
             if call:
-                count = CALLS if engine in ("rbjax", "pinocchio") else CALLS // 10
-                found = fastest_ns(lambda f=call, n=count: [f() for _ in range(n)], count, 3)
+                count, runs = (CALLS, 3) if engine in ("rbjax", "pinocchio") else (2, 60)
+                found = fastest_ns(lambda f=call, n=count: [f() for _ in range(n)], count, runs)
                 row[f"{engine}_ns"] = min(found, row.get(f"{engine}_ns", np.inf))
     return row
 
