@@ -41,6 +41,11 @@ def test_the_clip_of_a_task(name):
     assert (CLIPS / f"{name}.webp").stat().st_size <= 150_000
 
 
+def test_no_two_tasks_have_the_same_clip():
+    files = [path.read_bytes() for path in CLIPS.glob("*.webp")]
+    assert len(set(files)) == len(files)
+
+
 def test_a_training_is_on_the_page_of_its_task():
     curves = tasks.trainings("cart_pole_swing_up")
     assert {algorithm for algorithm, _ in curves} >= {"ppo", "shac"}

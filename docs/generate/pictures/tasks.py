@@ -3,8 +3,10 @@
     python -m docs.generate.pictures.tasks TASK
     python -m docs.generate.pictures.tasks TASK --policy FOLDER --caption "policy by PPO"
     python -m docs.generate.pictures.tasks TASK --controller back_up --caption "a controller"
+    python -m docs.generate.pictures.tasks TASK --still
 
-FOLDER is that of `rbjax train --out FOLDER`. Without a policy the actions are random.
+FOLDER is that of `rbjax train --out FOLDER`. Without a policy the actions are random. --still draws
+the robot in its reference configuration, for a task whose random actions another page shows.
 docs/tasks/clips/clips.json has the captions.
 """
 
@@ -24,6 +26,7 @@ from rbjax.plotting.policies import drawn_source, record_policy, tracked_body
 
 FOLDER = Path(__file__).parents[2] / "tasks" / "clips"
 RANDOM = "Random actions, as no policy of this task is in the repository."
+STILL = "The robot in its reference configuration. No policy of this task is in the repository."
 
 
 def controller(name: str, env: Any) -> Any:
@@ -41,7 +44,8 @@ def main() -> None:
     parser.add_argument("task")
     parser.add_argument("--policy", type=Path)
     parser.add_argument("--controller")
-    parser.add_argument("--caption", default=RANDOM)
+    parser.add_argument("--still", action="store_true")
+    parser.add_argument("--caption")
     parser.add_argument("--speed", type=float, default=1.0, help="seconds of motion per second")
     parser.add_argument("--zoom", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0)
@@ -53,10 +57,13 @@ def main() -> None:
         act = lambda obs, key: policy(obs)  # noqa: E731
     elif given.controller is not None:
         act = controller(given.controller, env)
-    times = given.speed * TIMES
-    found = record_policy(env, act, seconds=float(times[-1]) + env.dt, seed=given.seed)
-    at = np.searchsorted(np.asarray(found.trajectory.ts), times - 1e-9)
-    q = np.asarray(found.trajectory.q[0])[np.minimum(at, len(found.trajectory.ts) - 1)]
+    if given.still:
+        q = np.asarray(env.task.model.default_state().q)[None]
+    else:
+        times = given.speed * TIMES
+        found = record_policy(env, act, seconds=float(times[-1]) + env.dt, seed=given.seed)
+        at = np.searchsorted(np.asarray(found.trajectory.ts), times - 1e-9)
+        q = np.asarray(found.trajectory.q[0])[np.minimum(at, len(found.trajectory.ts) - 1)]
     frames = robot_frames(
         env.task.model, q, (360, 240), source=drawn_source(env.task.model), zoom=given.zoom,
         tracked=tracked_body(env),
@@ -64,7 +71,7 @@ def main() -> None:
     save(list(frames), FOLDER / f"{given.task}.webp", 150_000)
     captions = FOLDER / "clips.json"
     known = json.loads(captions.read_text()) if captions.exists() else {}
-    known[given.task] = {"caption": given.caption}
+    known[given.task] = {"caption": given.caption or (STILL if given.still else RANDOM)}
     captions.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n")
 
 
