@@ -32,6 +32,9 @@ def _robots() -> dict[str, Figure]:
         for part, what in OURS_ONLY.items():
             out[f"gpu.{part}.{robot}"] = Number(ours, "M/s median", {"what": what})
         forward = {"what": "forward"}
+        warp = f"gpu-warp-forward-{robot}-{H200}"
+        if warp in measured.names():
+            out[f"gpu.forward.{robot}.warp"] = Number(warp, "M/s", forward)
         out[f"gpu.compile.{robot}"] = Number(ours, _seconds, forward, min, digits=2)
         out[f"gpu.compile.{robot}.mjx"] = Number(
             theirs, _seconds, forward | {"engine": "mjx"}, min, digits=2
