@@ -26,7 +26,7 @@ HUB = f"""<mujoco><option gravity="0 0 0"/><worldbody>
 def fly(n: int) -> Prepared:
     """The flying beam in n / 8 links of eight coordinates, with a step of 0.16 / n s."""
     links, dt = max(n // 8, 1), 0.16 / n
-    model = flying_beam(500.0, links, {"k_z": 2, "e_x": 1, "g_y": 2})
+    model = flying_beam(500.0, links, {"k_z": 3, "e_x": 1, "g_y": 1})
     load = jnp.zeros((model.nb, 6)).at[-1].set(jnp.array(FLYING_LOAD))
     every = round(0.5 / dt)
 

@@ -1,7 +1,7 @@
 """Error of beam formulations against coordinates and against time.
 
-`python -m benchmarks.flexible.reference_accuracy [--scenes elastica bend flying spin_up] [--small]`
-writes results/flexible-reference-accuracy-<device>.json. An error is the largest deviation of the
+`python -m benchmarks.flexible.reference_accuracy [--scenes elastica bend flying spin_up]
+[--formulations "strain coordinates" ...] [--small]` writes results/flexible-reference-accuracy-<device>.json. An error is the largest deviation of the
 scene's answer, in m, from closed forms or converged digits; `benchmarks.flexible.beam_scenes` has
 the scenes and says how to add a formulation, and `benchmarks.flexible.own_beams` the beams that are
 models. Compilation is not counted. In a motion the step falls with the segments.
@@ -57,8 +57,12 @@ if __name__ == "__main__":
         "--scenes", nargs="+", choices=ANSWERS, default=["elastica", "bend", "flying"]
     )
     parser.add_argument("--small", action="store_true", help="two resolutions, one run")
+    entries = references() + own_beams()
+    names = [entry.name for entry in entries]
+    parser.add_argument("--formulations", nargs="+", choices=names, default=names)
     given = parser.parse_args()
-    rows = compare(references() + own_beams(), given.scenes, given.small)
+    chosen = [entry for entry in entries if entry.name in given.formulations]
+    rows = compare(chosen, given.scenes, given.small)
     show(rows)
     if not given.small:
         save(NAME, rows + others(NAME, rows, ["scene", "formulation", "segments"]))
