@@ -1,8 +1,9 @@
 """Error of beam formulations against coordinates and against time.
 
 `python -m benchmarks.flexible.reference_accuracy [--scenes elastica bend flying spin_up]
-[--formulations "strain coordinates" ...] [--small]` writes results/flexible-reference-accuracy-<device>.json. An error is the largest deviation of the
-scene's answer, in m, from closed forms or converged digits; `benchmarks.flexible.beam_scenes` has
+[--formulations "strain coordinates" ...] [--small]` writes
+results/flexible-reference-accuracy-<device>.json. An error is the largest deviation of the scene's
+answer, in m, from closed forms or converged digits; `benchmarks.flexible.beam_scenes` has
 the scenes and says how to add a formulation, and `benchmarks.flexible.own_beams` the beams that are
 models. Compilation is not counted. In a motion the step falls with the segments.
 """

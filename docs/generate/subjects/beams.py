@@ -1,4 +1,4 @@
-"""Beams: errors and times compared with Exudyn, evaluations on a GPU, single precision."""
+"""Beams: comparison with Exudyn and of formulations, evaluations on a GPU, single precision."""
 
 from docs.generate.subjects.tables import Column as C
 from docs.generate.subjects.tables import Pivot, Table
@@ -14,6 +14,15 @@ TABLES = {
             C("error", digits=2),
             C("run_s", "run, s"),
         ),
+    ),
+    "beam formulations": Pivot(
+        ("flexible-reference-accuracy-*",),
+        (C("scene"), C("formulation")),
+        "segments",
+        C("error", digits=2),
+        "python -m benchmarks.flexible.reference_accuracy",
+        order=(4, 8, 16, 32),
+        optional=True,
     ),
     "gpu beams": Pivot(
         ("gpu-flexible-*",),
