@@ -24,6 +24,18 @@ TABLES = {
         order=(4, 8, 16, 32),
         optional=True,
     ),
+    "one call of beams": Table(
+        ("cpu-one-call-beams-*",),
+        (
+            C("robot"),
+            C("nv", "coordinates"),
+            C("compiled_ns", "rb.compile, us", scale=1e-3),
+            C("jit_ns", "jax.jit, us", scale=1e-3),
+            C("compile_s", "compiling, s", digits=2),
+        ),
+        "python -m benchmarks.cpu.one_call_beams",
+        optional=True,
+    ),
     "gpu beams": Pivot(
         ("gpu-flexible-*",),
         (C("on"), C("robot"), C("nv", "coordinates"), C("dtype")),
