@@ -229,6 +229,7 @@ def beam(
     curved = {name: _coefficients(name, x) for name, x in (natural or {}).items()}
     out = Beam(length, given, viscosity, curved, tuple(strains.items()), points)
     joint = out.joint()  # checks the strains
+    _check_stations(length, given, joint)
     _check_stiffness(C, joint)
     params = out.params(joint)
     if not isinstance(params, jax.core.Tracer):
@@ -262,6 +263,22 @@ def _section(given: Any, mass: Any, inertia: Any) -> Section:
             "shape, for example rbjax.flexible.circle"
         )
     return section(given, mass, inertia)
+
+
+def _check_stations(length: jax.Array, section: Section, joint: StrainBeam) -> None:
+    """Raise InputError unless there is one length, and one section or one at each Gauss point."""
+    if length.ndim:
+        raise InputError(
+            f"beam: length has the shape {length.shape}, expected one number in m; for a batch of "
+            "beams, use jax.vmap"
+        )
+    stations, points = np.shape(section.mass), joint.shape.points
+    if stations not in ((), (points,)):
+        raise InputError(
+            f"beam: the numbers of the section have the shape {stations}, expected () for a "
+            f"uniform beam or ({points},), one at each Gauss point of a tapered beam; points= sets "
+            "their number"
+        )
 
 
 def _check_stiffness(C: Any, joint: StrainBeam) -> None:

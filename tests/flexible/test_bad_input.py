@@ -30,10 +30,36 @@ SECTIONS = {
     "expected a ratio above -1 and up to 1/2": lambda: flexible.circle(
         0.1, E=1e8, nu=0.7, density=1e3
     ),
+    "width is 0.0": lambda: flexible.rectangle(0.0, 0.1, **ROUND),
+    "inner is 0.01 and outer 0.01": lambda: flexible.tube(0.01, 0.01, **ROUND),
+    "radius is [0.01, 0.0]": lambda: flexible.circle(np.array([0.01, 0.0]), **ROUND),
+    "stiffness is zero, expected at least one entry above zero": lambda: flexible.section(
+        [0.0] * 6, 1.0, (0.0, 0.0, 0.0)
+    ),
     "E is nan": lambda: flexible.circle(0.1, E=np.nan, nu=0.3, density=1e3),
 }
 BEAMS = {
     "length is 0.0": lambda: round_beam(length=0.0),
+    "length is -1.0, expected a number above zero": lambda: round_beam(length=-1.0),
+    "length is nan": lambda: round_beam(length=np.nan),
+    "length has the shape (2,), expected one number": lambda: round_beam(length=np.ones(2)),
+    "the section have the shape (3,), expected () for a uniform beam or (4,)": lambda: (
+        flexible.beam(1.0, flexible.circle(np.full(3, 0.01), **ROUND), {"k_y": 1}, points=4)
+    ),
+    "stiffness[1] is nan": lambda: flexible.beam(1.0, [0, np.nan, 1, 0, 0, 0], mass=0.1),
+    "stiffness[1, 1] is nan": lambda: flexible.beam(
+        1.0, np.diag([1, np.nan, 1, 1, 1, 1]), mass=0.1
+    ),
+    "stiffness has the shape (5,)": lambda: flexible.beam(1.0, np.ones(5), mass=0.1),
+    "stiffness is not symmetric": lambda: flexible.beam(1.0, np.eye(6) + np.eye(6, k=1), mass=0.1),
+    "stiffness has a negative eigenvalue": lambda: flexible.beam(
+        1.0, np.eye(6) + 2 * np.eye(6)[::-1], mass=0.1
+    ),
+    "mass is nan": lambda: planar(mass=np.nan),
+    "inertia[0] is nan": lambda: planar(inertia=(np.nan, 0.0, 0.0)),
+    "expected x = y + z for a section, which is flat": lambda: planar(inertia=(1e-3, 0.0, 0.0)),
+    "damping is nan": lambda: planar(damping=np.nan),
+    "the degree of k_y in degrees is None": lambda: planar({"k_y": None}),
     "length[] is inf": lambda: round_beam(length=np.inf),
     "a beam without a strain, which is a rigid body": lambda: flexible.beam(
         1.0, BENDING, {}, mass=0.1
@@ -61,6 +87,16 @@ MODELS = {
     ),
     "a frame is at s / L = 0.0": lambda: WORLD.with_beam("b", planar(), frames={"c": 0.0}),
     "a frame is at s / L = 1.5": lambda: WORLD.with_beam("b", planar(), frames={"c": 1.5}),
+    "a frame is at s / L = nan": lambda: WORLD.with_beam("b", planar(), frames={"c": np.nan}),
+    "a frame is at s / L = 'end'": lambda: WORLD.with_beam("b", planar(), frames={"c": "end"}),
+    "free is 'yes', expected True or False": lambda: WORLD.with_beam("b", planar(), free="yes"),
+    "position=...): got nan at [0]": lambda: WORLD.with_beam(
+        "b", planar(), position=(np.nan, 0, 0)
+    ),
+    "the plane 'g' is on 'mid', expected a fixed body": lambda: geom("mid", "plane", [1, 1, 1]),
+    "contact.with_geom(position=...): got nan at [0]": lambda: geom(
+        "mid", "sphere", 0.1, position=(np.nan, 0, 0)
+    ),
     "frames is list, expected a mapping": lambda: WORLD.with_beam("b", planar(), frames=["c"]),
     "the base of a free beam is in the world": lambda: two("b", free=True),
     "got shape (2,), expected (3,)": lambda: WORLD.with_beam("b", planar(), position=(0, 0)),
@@ -74,6 +110,11 @@ MODELS = {
 
 def two(name: str, **given):
     return WORLD.with_beam("a", planar()).with_beam(name, planar(), "a", **given)
+
+
+def geom(body: str, kind: str, size, **given):
+    model = WORLD.with_beam("rod", planar(), frames={"mid": 0.5})
+    return rb.contact.with_geom(model, "g", body, kind, size, **given)
 
 
 def forces(element):
@@ -95,6 +136,8 @@ def test_sentence(sentence: str) -> None:
         lambda: WORLD.with_beam("a", planar(), "nobody"),
         lambda: planar().replace_joint(rb.load("pendulum"), "x"),
         lambda: forces(planar().elasticity("hing")),
+        lambda: geom("middle", "sphere", 0.1),
+        lambda: geom("mid", "cone", 0.1),
     ],
 )
 def test_names_that_do_not_exist(call) -> None:
