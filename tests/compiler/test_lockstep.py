@@ -65,8 +65,9 @@ def program(f, size, summed=()):
 @pytest.fixture
 def short(monkeypatch):
     """Short programs run in step, on one multiprocessor."""
-    for name, value in {"LONG_PROGRAM": 0, "LONG_LOOP": 0, "MULTIPROCESSORS": 1}.items():
-        monkeypatch.setattr(lockstep, name, value)
+    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP"):
+        monkeypatch.setattr(lockstep, name, 0)
+    monkeypatch.setattr(lockstep, "MULTIPROCESSORS", 1)
 
 
 def test_which_loops_are_in_step(short):
@@ -82,7 +83,7 @@ def test_which_loops_are_in_step(short):
 
 def test_short_programs_and_small_batches_have_blocks_of_one_warp(monkeypatch):
     assert kernel(program(steps, 64)[0]).block == 32
-    monkeypatch.setattr(lockstep, "LONG_PROGRAM", 0)
+    monkeypatch.setattr(lockstep, "LONG_ITERATION", 0)
     monkeypatch.setattr(lockstep, "LONG_LOOP", 0)
     code = kernel(program(steps, 64)[0])
     assert (code.block, code.grid, code.parts) == (32, 2, 2) and "__syncthreads" not in code.source

@@ -11,11 +11,14 @@ steps of an adaptive solver, is left as it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.program import Written
 
-#: operations of a program, and of a loop, below which the instruction cache holds it
-LONG_PROGRAM, LONG_LOOP = 8_000, 1_000
+#: operations of a program that the instruction cache holds; of one that iterates, whose warps drift
+#: apart by more; and of a loop
+LONG_PROGRAM, LONG_ITERATION, LONG_LOOP = 8_000, 4_000, 1_000
 #: the most warps of a block: with 255 registers a thread, all that a multiprocessor holds
 MOST_WARPS = 8
 #: the multiprocessors of a large GPU; a small batch is spread over all of them
@@ -24,10 +27,10 @@ MULTIPROCESSORS = 132
 
 def loops_in_step(program: Written) -> set[int]:
     """Return the loops whose turns the warps of a block begin together, by `id`."""
-    found: set[int] = set()
-    if program.statements > LONG_PROGRAM:
-        _add_loops(program.builder.block, found, counted=False)
-    return found
+    found = [*_long_loops(program.builder.block, counted=False)]
+    iterates = any(isinstance(s, ir.While) for s in found)
+    long = program.statements > (LONG_ITERATION if iterates else LONG_PROGRAM)
+    return {id(s) for s in found} if long else set()
 
 
 def warps_of_block(warps: int) -> int:
@@ -35,14 +38,14 @@ def warps_of_block(warps: int) -> int:
     return min(-(-warps // MULTIPROCESSORS), MOST_WARPS)
 
 
-def _add_loops(block: ir.Block, found: set[int], *, counted: bool) -> None:
-    """Add long loops that all threads of a block enter: in no branch and in no `while` loop."""
+def _long_loops(block: ir.Block, *, counted: bool) -> Iterator[ir.Statement]:
+    """Yield long loops that all threads of a block enter: in no branch and in no `while` loop."""
     for s in block.statements:
         turns = isinstance(s, ir.Loop)
         if (turns or (counted and isinstance(s, ir.While))) and _length(s) > LONG_LOOP:
-            found.add(id(s))
+            yield s
         if isinstance(s, ir.Loop):
-            _add_loops(s.body, found, counted=True)
+            yield from _long_loops(s.body, counted=True)
 
 
 def _length(s: ir.Statement) -> int:
