@@ -127,9 +127,11 @@ class Beam(Record):
 
     def elasticity(self, name: str) -> BeamElasticity:
         """Return the elastic and viscous forces of the beam, for its joint `name`."""
-        return BeamElasticity(
-            diagonal_if_known(self.section.stiffness), diagonal_if_known(self.viscosity), name
-        )
+        C, viscosity = self.section.stiffness, self.viscosity
+        diagonals = diagonal_if_known(C), diagonal_if_known(viscosity)
+        if diagonals[0].ndim == diagonals[1].ndim:
+            C, viscosity = diagonals
+        return BeamElasticity(C, viscosity, name)
 
     def replace_joint(self, model: Model, name: str) -> Model:
         """Put the beam in the place of a joint of a model, such as a hinge of a file.
