@@ -105,11 +105,11 @@ def by_heading(ax, slips):
                 ax.plot([r[0] for r in at], shares(at, slips.get(floor)), mark + "-", ms=2, lw=0.6,
                         color=color, alpha=1.3 - 3 * speed, label=label)  # fmt: skip
     ax.set(xlabel="heading [deg]", ylabel="camera / wheels", xticks=range(0, 361, 60))
-    ax.legend(fontsize=6, ncols=3)
+    ax.legend(loc="upper left", bbox_to_anchor=(1, 1), fontsize=9)
 
 
 if FLOORS:
-    figure, ax = plt.subplots(figsize=(8, 3.6))
+    figure, ax = plt.subplots(figsize=(9, 3.6))
     by_heading(ax, {})
     ax.set_title("encoders, nominal geometry")
     plt.show()
@@ -183,7 +183,7 @@ for floor, some in runs.items():
     print(f"   runs repeat within {repeats:.2f} (standard deviation)")
 
 if FLOORS:
-    figure, ax = plt.subplots(figsize=(8, 3.6))
+    figure, ax = plt.subplots(figsize=(9, 3.6))
     by_heading(ax, slips)
     ax.axhspan(0.98, 1.02, color="gray", alpha=0.2, lw=0)
     ax.set(title="with the slip of each floor; gray: 2 %", ylim=(0.8, 1.2))
@@ -209,5 +209,5 @@ if FLOORS:
             ax.plot(path[:, 0], path[:, 1], "--", label=name)
         ax.set(title=f"heading {heading} deg", xlabel="x [m]", xlim=(-0.1, 1.6), aspect="equal")
     axes[0].set_ylabel("y [m]")
-    axes[2].legend(fontsize=7)
+    axes[2].legend(fontsize=9)
     plt.show()
