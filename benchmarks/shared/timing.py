@@ -91,6 +91,7 @@ def command() -> str:
     """The command of this process, which says the size of its run; of paths the last part."""
     spec = sys.modules["__main__"].__spec__
     arguments = [Path(x).name if os.sep in x else x for x in sys.argv[1:]]
+    arguments = [f'"{x}"' if " " in x else x for x in arguments]
     return " ".join(["python", *(["-m", spec.name] if spec else []), *arguments])
 
 
