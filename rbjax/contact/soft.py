@@ -34,7 +34,7 @@ from rbjax.contact.solver.solution import (
     sources_of_rows,
     with_rule_of,
 )
-from rbjax.dynamics.algorithms.energy import Entries
+from rbjax.dynamics.algorithms.energy import Entries, product, velocity_of
 from rbjax.dynamics.algorithms.rnea import LinkForces
 from rbjax.dynamics.tracing.custom_rules import (
     jax_arrays,
@@ -98,6 +98,33 @@ def contact_acceleration(
         return tau + pushes - assembly.inverse_dynamics(a, f_ext)
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))
+
+
+def damped_acceleration(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
+    iterations: int, dt: Any, t: Any, damping: Entries,
+) -> tuple[jax.Array, ...]:  # fmt: skip
+    """Compute (M + A)^-1 M a (nv,) of the acceleration a of `contact_acceleration`, with the same
+    report. damping: entries of the diagonal matrix A.
+
+    The solver factorizes M + A by the code of its steps, which keeps the program short.
+    """
+    given, rebuilt = split_tracers((model, f_ext, dt, t, damping))
+
+    def plain(changed, q, v, tau):
+        model, f_ext, dt, t, damping = rebuilt(changed)
+        problem = detected(model, q, v, tau, f_ext, dt, t, values=True)
+        diagonal = {i: x for (i, _), x in damping.items()}
+        found = solve(problem, iterations=iterations, added=diagonal)
+        _, *report = _with_report(found)
+        return batch_first((found.damped, *report), (changed, q, v, tau))
+
+    def differentiable(changed, q, v, tau):
+        model, f_ext, dt, t, damping = rebuilt(changed)
+        a, *report = contact_acceleration(model, q, v, tau, f_ext, iterations, dt, t)
+        return a - velocity_of(model, q, product(damping, a), damping), *report
+
+    return with_rule_of(plain, differentiable)(given, q, v, tau)
 
 
 def _with_report(found: Solution) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -217,6 +244,24 @@ class SoftContact:
     ) -> tuple[jax.Array, jax.Array]:
         """Compute the acceleration (nv,) and the error of the solver, which has no derivative."""
         a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext)
+        return a, error
+
+    def damped_acceleration(
+        self, model: Model, t: Any, state: State, tau: jax.Array, f_ext: LinkForces,
+        damping: Entries,
+    ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
+        """Compute (M + A)^-1 M a (nv,) of the acceleration a, and the error of the solver.
+
+        damping: entries of the diagonal matrix A.
+        """
+        model, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
+        rest.append(damping)
+
+        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
+            a, _, error = damped_acceleration(model, q, v, tau, *rest)
+            return [a, error]
+
+        a, error = threads(solved)(q, v, tau)
         return a, error
 
     def solver_tolerance(self, dtype: Any) -> float:

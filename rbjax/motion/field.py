@@ -21,6 +21,7 @@ from rbjax.contact.coulomb import CoulombContact
 from rbjax.contact.registry import law_of
 from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms import aba
+from rbjax.dynamics.algorithms.energy import Entries
 from rbjax.dynamics.algorithms.manifold import increment_rate, retract
 from rbjax.dynamics.algorithms.rnea import LinkForces, forces_at
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
@@ -143,6 +144,18 @@ class Field:
         """Compute the acceleration (nv,), x (nx,) after a step dt, memory and report."""
         tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
         a, error = self._acceleration(t, state, tau, f_ext)
+        return a, x, self.kept(state, error)
+
+    def damped_acceleration(
+        self, t: Any, state: State, u: Inputs, dt: Any, damping: Entries
+    ) -> tuple[Any, Any, Any]:
+        """Compute (M + A)^-1 M a (nv,), x (nx,) after a step dt, memory and report.
+
+        damping: entries of the diagonal matrix A. The dynamics is soft contact.
+        """
+        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
+        given = self._model_of_dynamics, t, state, tau, f_ext, damping
+        a, error = self.law.damped_acceleration(*given)
         return a, x, self.kept(state, error)
 
     def kept(self, state: State, error: jax.Array | None) -> tuple:

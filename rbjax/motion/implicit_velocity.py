@@ -21,15 +21,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from rbjax.constraints.formulation import Formulation
+from rbjax.contact.soft import SoftContact
 from rbjax.dynamics.algorithms.derivatives import bias_derivative
-from rbjax.dynamics.algorithms.energy import product, velocity_of
+from rbjax.dynamics.algorithms.energy import Entries, product, velocity_of
 from rbjax.errors import InputError
 from rbjax.forces.element import Element
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import matrix
 from rbjax.forces.tendons.tendon_weights import armature_entries
 from rbjax.lanes import Lane, add, mul
-from rbjax.model import WORLD, State, Topology
+from rbjax.model import WORLD, Model, State, Topology
 from rbjax.motion.field import Field, free_motion
 
 
@@ -57,6 +58,8 @@ class ImplicitVelocity:
         if field.dynamics is free_motion:
             force, x, kept = field.inertial_force(t, state, u, dt)
             a = velocity_of(model, q, force, entries)
+        elif isinstance(field.dynamics, SoftContact) and is_diagonal(model, q, entries):
+            a, x, kept = field.damped_acceleration(t, state, u, dt, entries)
         else:  # (M + h D)^-1 M a = a - (M + h D)^-1 h D a
             a, x, kept = field.acceleration(t, state, u, dt)
             if entries:
@@ -84,6 +87,11 @@ class ImplicitVelocity:
         if self.name == "implicit":
             return range(top.nv)
         return floating(top) if self.name == "implicitfast" else ()
+
+
+def is_diagonal(model: Model, q: Any, entries: Entries) -> bool:
+    """Return whether the matrix D has entries, all on the diagonal, and M none of tendons."""
+    return bool(entries) and all(i == j for i, j in entries) and not armature_entries(model, q)
 
 
 def floating(top: Topology) -> set[int]:

@@ -370,6 +370,11 @@ class Slots(NamedTuple):
         """Run carry = step(k, carry) over the indices k of all active contacts."""
         return self.found.fold(step, carry)
 
+    def unless(self, empty: Any) -> Slots:
+        """Return these slots, or no active contacts if `empty`."""
+        length = jnp.where(empty, 0, self.found.length)
+        return self._replace(found=self.found._replace(length=length))
+
 
 def _in_link(pose: jax.Array, axes: Sequence[Motion]) -> list[Motion]:
     """Transform axes about the origin to the axes of a link."""

@@ -29,7 +29,7 @@ from rbjax.contact.problem.world import World
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.aba import name_factors
-from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, unpack
+from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, total, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion
@@ -229,6 +229,13 @@ class Problem:
         """The limits that act, of a problem after `detect`."""
         assert self.active_limits is not None
         return self.active_limits
+
+    @property
+    def is_constrained(self) -> Any:
+        """Whether a contact or another row acts, of a problem after `detect`."""
+        if self.loose:
+            return True
+        return total([x.found.length for x in self.slots] + [self.at_limits.length]) > 0
 
     @property
     def latched(self) -> bool:

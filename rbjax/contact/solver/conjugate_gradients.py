@@ -57,9 +57,10 @@ class _Iterate(NamedTuple):
 
 
 def solve_direction(
-    problem: Problem, factors: Any, b: jax.Array, residuals: Sequence[jax.Array]
+    problem: Problem, factors: Any, b: jax.Array, residuals: Sequence[jax.Array], acts: Any = True
 ) -> Direction:
-    """Solve H x = b from the factors of H_0. residuals: J x - a_ref of all contacts."""
+    """Solve H x = b from the factors of H_0, or H_0 x = b unless the contacts between two links
+    `acts`. residuals: J x - a_ref of all contacts."""
     tree, dtype = problem.tree, problem.dtype
     if not any(contacts.coupled for contacts in problem.sets):
         x, twists = tree.step(factors, b, dtype)
@@ -67,6 +68,7 @@ def solve_direction(
     both = zip(problem.sets, problem.slots, strict=True)
     # most of the time no such contact is active, and the branch saves the inward sweep
     touch = total(slots.found.length for contacts, slots in both if contacts.coupled) > 0
+    touch = touch & acts
     bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2 * weighted_square(tree.weights, unpack(b))
 
     def unfinished(at: _Iterate) -> jax.Array:

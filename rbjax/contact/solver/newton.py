@@ -22,6 +22,10 @@ Across the stick disc of latched friction the curvature jumps, and a step may en
 the disc, again and again. So a step after a short one has the curvature of a bound of the cost
 (`latched_disc`), along which the cost falls without such jumps.
 
+The turns of the loop compute the cost first, and then a step. So the program has each of them once,
+which an instruction cache may hold. A step that is implicit in the damping of joints also needs
+(M + A)^-1 M x with a diagonal matrix A. The last turn computes it by the code of a step.
+
 M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
 the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
 gives the twists of the links at p too, so a step is one inward and one outward sweep.
@@ -32,6 +36,7 @@ Vandenberghe, *Convex Optimization*, 9.5.)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -40,7 +45,12 @@ import jax.numpy as jnp
 
 from rbjax.arguments import integer
 from rbjax.contact.problem.problem import Problem, Stiff, add_row
-from rbjax.contact.solver.conjugate_gradients import products, solve_direction, weighted_square
+from rbjax.contact.solver.conjugate_gradients import (
+    Direction,
+    products,
+    solve_direction,
+    weighted_square,
+)
 from rbjax.lanes import Lane, add, inner, mul, neg, pack, sub, unpack
 
 #: bytes of a number -> the relative gradient at which the iteration ends
@@ -69,16 +79,18 @@ class Solution(NamedTuple):
         iterations: the number of Newton steps.
         error: relative error at x; the iteration has converged if it is at most the tolerance.
         residuals: (n, dim) J x - a_ref of the active contacts of each set.
+        damped: (nv,) (M + A)^-1 M x, if a diagonal matrix A is given; else None.
     """
 
     x: jax.Array
     iterations: jax.Array
     error: jax.Array
     residuals: list[jax.Array]
+    damped: jax.Array | None = None
 
 
 class _Iterate(NamedTuple):
-    """An iterate of the method, with the values of the cost there.
+    """An iterate of the method.
 
     Fields:
         x: (nv,) the acceleration.
@@ -88,11 +100,9 @@ class _Iterate(NamedTuple):
         iterations: the number of steps.
         decrement: Newton's decrement of the last step, relative to the forces.
         short: whether the last step was short; None for a problem without latched friction.
-        gradient: (nv,) of the cost.
-        stiffness: (n, 21) of the contacts of each pair of links.
-        size: of the forces (see the module).
         error: the smaller one of the relative gradient and the decrement.
-        stalled: whether the last step did not halve an error near the tolerance.
+        unfinished: whether the iteration goes on.
+        loss: (nv,) (M + A)^-1 A x after the last turn, if a matrix A is given; else None.
     """
 
     x: jax.Array
@@ -102,11 +112,21 @@ class _Iterate(NamedTuple):
     iterations: jax.Array
     decrement: jax.Array
     short: jax.Array | None
-    gradient: Any = None
-    stiffness: Any = None
-    size: Any = None
-    error: Any = None
-    stalled: Any = False
+    error: jax.Array
+    unfinished: jax.Array
+    loss: jax.Array | None = None
+
+
+class _Cost(NamedTuple):
+    """The cost at an iterate.
+
+    Fields:
+        gradient: (nv,) of the cost.
+        size: of the forces (see the module).
+    """
+
+    gradient: jax.Array
+    size: jax.Array
 
 
 def tolerance_of(dtype: Any) -> float:
@@ -115,30 +135,48 @@ def tolerance_of(dtype: Any) -> float:
 
 
 def solve(
-    problem: Problem, *, iterations: int = ITERATIONS, tolerance: float | None = None
-) -> Solution:
-    """Minimise the cost of a problem with its active contacts (`Problem.detect`)."""
+    problem: Problem, *, iterations: int = ITERATIONS, tolerance: float | None = None,
+    added: Mapping[int, Lane] | None = None,
+) -> Solution:  # fmt: skip
+    """Minimise the cost of a problem with its active contacts (`Problem.detect`).
+
+    added: entries of a diagonal matrix A by dof, for the field `damped` of the solution.
+    """
     bound = tolerance_of(problem.dtype) if tolerance is None else tolerance
+    constant = weighted_square(problem.tree.weights, problem.rhs)
 
-    def unfinished(at: _Iterate) -> jax.Array:
-        return (at.error > bound) & (at.iterations < iterations) & ~at.stalled
+    def turn(at: _Iterate) -> _Iterate:
+        cost, error = _evaluated(problem, at, constant)
+        stalled = (error <= NEAR * bound) & (error >= 0.5 * at.error)
+        goes = (error > bound) & (at.iterations < iterations) & ~stalled
+        direction, unfinished = None, goes
+        if added:  # the last turn has the matrix M + A, by the code of a step
+            direction = _direction(problem, at, cost, _Last(~goes, added))
+            at = at._replace(loss=direction.x)
+        else:  # without active rows the cost is quadratic, and a step exact
+            exact = goes & jnp.logical_not(problem.is_constrained)
+            error, unfinished = jnp.where(exact, 0.0, error), goes & ~exact
 
-    def step(at: _Iterate) -> _Iterate:
-        new = _evaluated(problem, _newton_step(problem, at))
-        stalled = (new.error <= NEAR * bound) & (new.error >= 0.5 * at.error)
-        return new._replace(stalled=stalled)
+        def moved(_: Any, at: _Iterate) -> _Iterate:
+            return _moved(problem, at, cost, direction or _direction(problem, at, cost))
 
-    # without a branch, so that each array of an iterate is updated in place
-    first = _evaluated(problem, _start(problem))._replace(stalled=jnp.bool_(False))
-    at = jax.lax.while_loop(unfinished, step, first)
-    return Solution(at.x, at.iterations, at.error, at.residuals)
+        at = at._replace(error=error, unfinished=unfinished)
+        # a loop in place of a branch, so that each array of an iterate is updated in place
+        return jax.lax.fori_loop(0, goes.astype(jnp.int32), moved, at)
+
+    # the values of the cost at the start are computed in the loop, so its code is there once
+    first = _start(problem)
+    first = first._replace(loss=first.x) if added else first
+    at = jax.lax.while_loop(lambda at: at.unfinished, turn, first)
+    damped = None if at.loss is None else at.x - at.loss
+    return Solution(at.x, at.iterations, at.error, at.residuals, damped)
 
 
 def factorize_at(problem: Problem, solution: Solution) -> Any:
     """Factorize the Hessian at a solution, with names by which a derivative saves the factors."""
     problem = replace(problem, tree=problem.tree.saved())
     at = _start(problem)._replace(x=solution.x, residuals=solution.residuals)
-    return _factors(problem, _evaluated(problem, at)).named()
+    return _factors(problem, at).named()
 
 
 def _start(problem: Problem) -> _Iterate:
@@ -155,7 +193,8 @@ def _start(problem: Problem) -> _Iterate:
     w = jnp.zeros((len(problem.tree.touching) + 1, 6), dtype)
     infinite = jnp.full((), jnp.inf, dtype)
     short = jnp.bool_(False) if problem.latched else None
-    return _Iterate(zero, u, w, residuals, jnp.int32(0), infinite, short)
+    begin = jnp.int32(0), infinite, short, infinite, jnp.bool_(True)
+    return _Iterate(zero, u, w, residuals, *begin)
 
 
 def _with_curvature(problem: Problem, at: _Iterate) -> Problem:
@@ -168,35 +207,57 @@ def _unset(slots: Any, dim: int) -> jax.Array:
     return jax.lax.empty((slots.rows.shape[0], dim), slots.rows.dtype)
 
 
-def _factors(problem: Problem, at: _Iterate) -> Any:
+class _Last(NamedTuple):
+    """Whether the solution is found, `here`, and the diagonal matrix A that replaces the Hessian of
+    the rows there."""
+
+    here: jax.Array
+    added: Mapping[int, Lane]
+
+
+def _factors(problem: Problem, at: _Iterate, last: _Last | None = None) -> Any:
     x, limits = unpack(at.x), problem.at_limits.hessian(at.x)
     rows: list[Stiff] = [({i: 1.0}, limits[i]) for i in problem.limits.dofs]
     for row in problem.loose:
         rows.append((row.J, row.response(sub(row.along(x), row.reference))[1]))
-    return problem.tree.factorize(at.stiffness, rows)
+    if last is not None:
+        rows = [(J, jnp.where(last.here, 0.0, h)) for J, h in rows]
+        rows += [({i: 1.0}, jnp.where(last.here, a, 0.0)) for i, a in last.added.items()]
+    return problem.tree.factorize(_stiffness(problem, at, last), rows)
 
 
-def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
-    """Return an iterate with its gradient, stiffness, size and error."""
+def _stiffness(problem: Problem, at: _Iterate, last: _Last | None) -> jax.Array:
+    """Compute the stiffness (n, 21) of the contacts of each pair of links, at the last turn 0."""
+    out = jnp.zeros((len(problem.tree.link_pairs), 21), problem.dtype)
+    for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
+        if contacts.coupled:
+            continue
+
+        def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+            row = slots.row(k, of.dim)
+            H = of.cone(row).response([r[k, i] for i in range(of.dim)]).H
+            return of.add_stiffness(row, out, row.stiffness(H))
+
+        out = (slots if last is None else slots.unless(last.here)).fold(push, out)
+    return out
+
+
+def _evaluated(problem: Problem, at: _Iterate, constant: Lane) -> tuple[_Cost, jax.Array]:
+    """Return the cost at an iterate, and its error.
+
+    constant: the part of the size of the forces that is the same at all iterates.
+    """
     problem = _with_curvature(problem, at)
     tree, dtype = problem.tree, problem.dtype
-    none, wrenches = jnp.zeros((len(tree.link_pairs), 21), dtype), at.w
-    # in place, as the iterate that it belongs to is over
-    stiffness = (
-        none if at.stiffness is None else jax.lax.dynamic_update_slice(at.stiffness, none, (0, 0))
-    )
+    wrenches = at.w
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
 
-        def push(k: Any, carry: tuple, of: Any = contacts, slots: Any = slots, r: Any = r) -> tuple:
-            wrenches, stiffness = carry
+        def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
             row = slots.row(k, of.dim)
-            found = of.cone(row).response([r[k, i] for i in range(of.dim)])
-            wrenches = of.add_forces(row, wrenches, found.f)
-            if of.coupled:
-                return wrenches, stiffness
-            return wrenches, of.add_stiffness(row, stiffness, row.stiffness(found.H))
+            f = of.cone(row).response([r[k, i] for i in range(of.dim)]).f
+            return of.add_forces(row, out, f)
 
-        wrenches, stiffness = slots.fold(push, (wrenches, stiffness))
+        wrenches = slots.fold(push, wrenches)
     forces, x = tree.generalized(wrenches), unpack(at.x)
     for row in problem.loose:
         f, _ = row.response(sub(row.along(x), row.reference))
@@ -204,24 +265,31 @@ def _evaluated(problem: Problem, at: _Iterate) -> _Iterate:
     gradient = pack([sub(a, b) for a, b in zip(unpack(at.u), forces, strict=True)], at.x)
     gradient = problem.at_limits.subtract_forces(at.x, gradient)
     weights = tree.weights
-    size = add(
-        weighted_square(weights, problem.rhs), weighted_square([1.0 / w for w in weights], x)
-    )
+    size = add(constant, weighted_square([1.0 / w for w in weights], x))
     size = jnp.maximum(jnp.asarray(size, dtype), jnp.finfo(dtype).tiny)
     error = jnp.minimum(jnp.sqrt(weighted_square(weights, unpack(gradient)) / size), at.decrement)
-    error = jnp.asarray(error, dtype)
-    return at._replace(gradient=gradient, stiffness=stiffness, size=size, error=error)
+    return _Cost(gradient, size), jnp.asarray(error, dtype)
 
 
-def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
-    """Return the next iterate, without the values of the cost."""
+def _direction(problem: Problem, at: _Iterate, cost: _Cost, last: _Last | None = None) -> Direction:
+    """Solve H p = -g, or at the last turn (M + A) p = A x."""
     problem = _with_curvature(problem, at)
-    dtype = problem.dtype
-    factors = _factors(problem, at)
-    p, product, twists = solve_direction(problem, factors, -at.gradient, at.residuals)
+    factors, b = _factors(problem, at, last), -cost.gradient
+    if last is None:
+        return solve_direction(problem, factors, b, at.residuals)
+    own = pack([mul(last.added.get(i, 0.0), y) for i, y in enumerate(unpack(at.x))], b)
+    b = jnp.where(last.here, own, b)
+    return solve_direction(problem, factors, b, at.residuals, ~last.here)
+
+
+def _moved(problem: Problem, at: _Iterate, cost: _Cost, direction: Direction) -> _Iterate:
+    """Return the next iterate."""
+    problem = _with_curvature(problem, at)
+    dtype, gradient = problem.dtype, cost.gradient
+    p, product, twists = direction
     # the change of u, its product with p, and the wrenches of J^T s'' J p
     change, x, s = unpack(product), unpack(at.x), unpack(p)
-    slope = inner(s, unpack(at.gradient))
+    slope = inner(s, unpack(gradient))
     for row in problem.loose:
         f, h = row.response(sub(row.along(x), row.reference))
         rate = row.along(s)
@@ -241,15 +309,12 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
             slope, curvature = add(slope, inner(found.f, s)), sub(curvature, inner(change, s))
             return rates.at[k].set(jnp.stack(s)), wrenches, slope, curvature
 
-        begin = (
-            _unset(slots, contacts.dim),
-            wrenches,
-            jnp.asarray(slope, dtype),
-            jnp.asarray(curvature, dtype),
-        )
+        numbers = (jnp.asarray(y, dtype) for y in (slope, curvature))
+        begin = _unset(slots, contacts.dim), wrenches, *numbers
         found, wrenches, slope, curvature = slots.fold(along, begin)
         rates.append(found)
-    alpha = _line_search(problem, at, p, (slope, curvature), rates)
+    bound = SLOPE * jnp.abs(inner(unpack(gradient), s))
+    alpha = _line_search(problem, at, p, (slope, curvature), rates, bound)
     residuals = []
     for slots, r, rate in zip(problem.slots, at.residuals, rates, strict=True):
 
@@ -257,22 +322,27 @@ def _newton_step(problem: Problem, at: _Iterate) -> _Iterate:
             return r.at[k].set(r[k] + alpha * rate[k])
 
         residuals.append(slots.fold(moved, r))
-    u, w = at.u + alpha * change, at.w + alpha * wrenches
-    decrement = jnp.sqrt(jnp.abs(inner(unpack(at.gradient), s)) / at.size)
+
+    def pushed(k: Any, w: jax.Array) -> jax.Array:
+        return w.at[k].add(alpha * wrenches[k])
+
+    u, w = at.u + alpha * change, jax.lax.fori_loop(0, len(at.w), pushed, at.w)
+    decrement = jnp.sqrt(jnp.abs(inner(unpack(gradient), s)) / cost.size)
     decrement = jnp.maximum(alpha, 1.0) * decrement
     short = None
     if at.short is not None:  # the decrement is Newton's only with Newton's curvature
         decrement, short = jnp.where(at.short, jnp.inf, decrement), alpha < SHORT
     now = at.x + alpha * p, u, w, residuals, at.iterations + 1, decrement, short
-    return _Iterate(*now, stiffness=at.stiffness)
+    return _Iterate(*now, at.error, at.unfinished, at.loss)
 
 
 def _line_search(
-    problem: Problem, at: _Iterate, step: jax.Array, smooth: tuple, rates: list
+    problem: Problem, at: _Iterate, step: jax.Array, smooth: tuple, rates: list, bound: Lane
 ) -> jax.Array:
     """Find the zero of the cost's slope along a step (nv,), by Newton's method with a bracket.
 
     smooth: slope at 0 and curvature along the step of the cost without contacts and rows.
+    bound: the slope at which the search ends.
     """
     x, p = unpack(at.x), unpack(step)
     constant, curvature = smooth
@@ -305,11 +375,9 @@ def _line_search(
             out = slots.fold(more, out)
         return out
 
-    begin = SLOPE * jnp.abs(inner(unpack(at.gradient), p))
-
     def unfinished(state: tuple) -> jax.Array:
         *_, first, n = state
-        return (jnp.abs(first) > begin) & (n < SEARCHES)
+        return (jnp.abs(first) > bound) & (n < SEARCHES)
 
     def better(state: tuple) -> tuple:
         alpha, low, high, _, n = state
@@ -318,7 +386,7 @@ def _line_search(
         new = alpha - first / second
         inside = (new > low) & (new < high)
         other = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * alpha)
-        found = jnp.abs(first) <= begin
+        found = jnp.abs(first) <= bound
         new = jnp.where(found, alpha, jnp.where(inside, new, other))
         return new, low, high, first, n + 1
 
