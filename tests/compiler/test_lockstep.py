@@ -7,16 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import rbjax as rb
 from rbjax.compiler.cuda import lockstep
 from rbjax.compiler.cuda.kernels import kernel
 from rbjax.compiler.ir.program import BatchLayout, batch_first
 from rbjax.compiler.ir.statements import Loop, While, walk
 from rbjax.compiler.lower.write import write_program
 from tests.compiler.block import emulated
-from tests.compiler.host import COMPILER
+from tests.compiler.host import COMPILER, written
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 RNG = np.random.default_rng(0)
+BALL = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 .1">
+  <freejoint/><geom type="sphere" size=".1" mass="1"/></body></worldbody></mujoco>"""
 
 
 def halve(x):
@@ -98,11 +101,32 @@ def test_short_programs_and_small_batches_have_blocks_of_one_warp(monkeypatch):
 @pytest.mark.parametrize("size", [300, pytest.param(250, marks=pytest.mark.slow)])
 def test_results_are_those_of_samples(short, size):
     """The last block lacks warps, or its last warp lacks samples."""
-    written, shapes = program(steps, size, summed={2})
-    code = kernel(written)
+    found, shapes = program(steps, size, summed={2})
+    code = kernel(found)
     assert code.block == 256 and code.parts == -(-size // 32)
     x, w = 5.0 * RNG.normal(size=(size, 3)), RNG.normal(size=3)
     want = jax.vmap(steps, (0, None))(x, w)
     want[2] = want[2].sum()
     for got, due in zip(emulated(code, [x, w], shapes), want, strict=True):
         assert relative_error(got, due) <= F64_TRANSFORM
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*biased at any step size")
+def test_a_rollout_with_contacts_and_its_gradient(short):
+    """Balls that fall, roll and jump, with different numbers of Newton steps."""
+    model = rb.load(BALL)
+    q = np.tile(model.default_state().q, (300, 1))
+    q[:, 2] += 0.01 * RNG.normal(size=300)
+    v = RNG.normal(size=(300, model.nv))
+
+    def end(q, v):
+        return rb.rollout(model, rb.State(q, v), None, 0.002, steps=12, save_every=4).v.ravel()
+
+    for f in (end, lambda q, v: jax.grad(lambda v: (end(q, v) ** 2).sum())(v)):
+        want = np.asarray(jax.jit(jax.vmap(f))(q, v))
+        code = kernel(written(f, q, v)[0])
+        assert code.block == 256 and "__syncthreads_or" in code.source
+        (got,) = emulated(code, [q, v], [jax.ShapeDtypeStruct(want.shape, want.dtype)])
+        assert relative_error(got, want) <= F64_TRANSFORM
