@@ -78,6 +78,11 @@ class JointMotion:
         """The flexible link of which the dof is a coordinate, or None."""
         return None
 
+    @property
+    def is_first(self) -> bool:
+        """Whether the dof is not a frame of a flexible link, or a coordinate after its first."""
+        return True
+
     def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
         """Compute the acceleration of the frame relative to its parent from joint accelerations.
 

@@ -1,5 +1,6 @@
-"""The gradient of flexible robots from the acceleration and the factors of the forward pass, as on
-a GPU, against the gradient that computes them again."""
+"""The gradient of flexible robots: from the acceleration and the factors of the forward pass, as on
+a GPU, against the gradient that computes them again; with the motions of the links of ABA, against
+the gradient of inverse dynamics, which has none; in float32."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ import rbjax as rb
 from rbjax.compiler.jax.programs import Program
 from rbjax.dynamics.algorithms import aba
 from tests.flexible.beams import ARM
-from tests.tolerances import F32_MAX, F64_TRANSFORM, relative_error
+from tests.tolerances import F32_MAX, F64_IDENTITY, F64_TRANSFORM, relative_error
 
 TOLERANCE = {np.float64: F64_TRANSFORM, np.float32: F32_MAX}
 
@@ -34,8 +35,13 @@ def robot(name: str) -> rb.Model:
     one = rb.flexible.beam(0.5, [0, 0, 2.0, 0, 0, 0], {"k_z": 1}, mass=0.5, points=2)
     if name == "hinge":
         return rb.load(ARM).with_beam("rod", one, "upper")
+    return in_series(one, 3)
+
+
+def in_series(one, count: int) -> rb.Model:
+    """Return equal beams, the first clamped to the world."""
     model, parent = rb.load("<mujoco/>"), "world"
-    for k in range(3):
+    for k in range(count):
         model, parent = model.with_beam(f"beam{k}", one, parent), f"beam{k}"
     return model.replace(driver="limbs")
 
@@ -136,3 +142,45 @@ def divisions(jaxpr) -> int:
         inner = [x for x in eqn.params.values() if isinstance(x, Program)]
         total += sum(divisions(x.closed.jaxpr) for x in inner)
     return total
+
+
+@pytest.mark.slow
+def test_motions_of_the_links_change_no_derivative() -> None:
+    """dFD = M^-1 (dtau - dID) with the gradient of inverse dynamics at the acceleration, and the
+    derivative of both along all arguments."""
+    model = robot("chain")
+    given, along = inputs(model, 2), inputs(model, 2)[::-1]
+    forward, inverse = (
+        jax.vmap(functools.partial(f, model)) for f in (rb.forward_dynamics, rb.inverse_dynamics)
+    )
+
+    def want(q, v, tau, w):
+        a = forward(q, v, tau)
+        (rates,) = jax.vjp(lambda tau: forward(q, v, tau), tau)[1](w)
+        return *jax.vjp(lambda q, v: inverse(q, v, a), q, v)[1](-rates), rates
+
+    def own(q, v, tau, w):
+        return jax.vjp(forward, q, v, tau)[1](w)
+
+    found = [
+        jax.jit(functools.partial(jax.jvp, f))(tuple(given), tuple(along)) for f in (own, want)
+    ]
+    for x, y in zip(*map(jax.tree.leaves, found), strict=True):
+        assert relative_error(x, y) < F64_IDENTITY
+
+
+@pytest.mark.slow
+def test_float32() -> None:
+    """26 beams in series. From rates alone the motion of the last beams would be a difference of
+    large terms: the gradient by q would err by 3e-4 here."""
+    inertia = (2e-4, 1e-4, 1e-4)
+    one = rb.flexible.beam(
+        1 / 26, [1.0, 2.0, 2.0, 0, 0, 0], {"k_y": 0, "k_z": 0}, mass=0.5, inertia=inertia, points=2
+    )
+    model = in_series(one, 26)
+    given = inputs(model, 4)
+    exact = jax.jit(gradient(model, inner=False))(*given)
+    model = model.astype(jnp.float32)
+    found = jax.jit(gradient(model, inner=False))(*(x.astype(np.float32) for x in given))
+    for x, y in zip(*map(jax.tree.leaves, (found, exact)), strict=True):
+        assert relative_error(x, y) < 3e-5

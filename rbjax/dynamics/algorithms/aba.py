@@ -17,7 +17,9 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
 one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). The
 reverse derivative of RNEA of a tree with flexible links is the gradient of a power
-(virtual_power.py). On a GPU it reads the acceleration and the factors of the forward pass.
+(virtual_power.py). If a flexible link carries links, it takes their accelerations from ABA, and
+their virtual twists from the solution as the cotangents of bias forces p, which are zero. On a GPU
+it reads the acceleration and the factors of the forward pass.
 """
 
 from __future__ import annotations
@@ -47,11 +49,11 @@ from rbjax.dynamics.algorithms.rnea import (
     NO_FORCE,
     LinkForces,
     add_blocks,
-    forces_at,
     per_link,
     rnea,
     wrenches_to_links,
 )
+from rbjax.dynamics.algorithms.virtual_power import with_gradient_of_power
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import (
@@ -139,9 +141,16 @@ def rigid_mass(
 
 
 def aba(
-    d: Driver, joints: Any, tau: Any, gravity: Vec3, f_ext: LinkForces | None = None
-) -> tuple[Any, Any]:
-    """Compute the joint acceleration of each link, and the factors of the mass matrix."""
+    d: Driver,
+    joints: Any,
+    tau: Any,
+    gravity: Vec3,
+    f_ext: LinkForces | None = None,
+    *,
+    twists: bool = False,
+) -> tuple[Any, ...]:
+    """Compute the joint acceleration of each link, and the factors of the mass matrix.
+    twists: whether to return the accelerations of links too, in their own axes, as six lanes."""
 
     def outward(x, w_parent):
         link, joint, *_ = x
@@ -169,12 +178,14 @@ def aba(
     ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
     def accelerate(x, parent):
-        factor, u, c = x
+        (factor, u, c), *joint = x
         a, qdd, block = factor.outward(u, factor.X(parent[0]) + c, parent[1])
-        return (a, block), (qdd, factor)
+        own = [tuple(a) if j.is_first else (0.0,) * 6 for j in joint]
+        return (a, block), (qdd, factor, *own)
 
-    qdd, factors = d.unzip(d.outward(accelerate, (Motion(Vec3.zero(), -gravity), ()), ys), 2)
-    return qdd, factors
+    root = Motion(Vec3.zero(), -gravity), ()
+    found = d.outward(accelerate, root, d.zip(ys, joints) if twists else d.zip(ys))
+    return d.unzip(found, 2 + twists)
 
 
 def transforms(d: Driver, joints: Any) -> Any:
@@ -218,25 +229,31 @@ def factorize(
     return d.inward(inward, (zero, ()), d.zip(d.constants, joints, extra, inertia, *known))
 
 
-def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
-    """Compute M^-1 tau from the factors: ABA without velocities and gravity.
-    `again` is an optional second copy of the factors for the outward sweep, to save registers."""
-    ys = eliminated(d, factors, tau)
+def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: LinkForces | None = None) -> Any:
+    """Compute M^-1 (tau - sum of J_i^T p_i) from the factors: ABA without velocities and gravity.
+
+    again: an optional second copy of the factors for the outward sweep, to save registers.
+    p: bias forces of the links, in their axes; None for zero. Its cotangents are their twists.
+    """
+    ys = eliminated(d, factors, tau, p)
     if again is not None:
         ys = d.zip(again, d.part(ys, 1))
     return accelerated(d, ys)
 
 
-def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
+def eliminated(d: Driver, factors: Any, tau: Any, p: LinkForces | None = None) -> Any:
     """Run the inward sweep of `solve`. Return (factor, u) per link.
-    u is the joint force that remains after the elimination of the subtree of the link."""
+
+    u is the joint force that remains after the elimination of the subtree of the link.
+    p: bias forces of the links, in their axes; None for zero.
+    """
 
     def inward(x, children):
-        factor, tau = x
-        u, p_a, block = factor.inward(tau, *children, Force.zero())
+        factor, tau, p = x
+        u, p_a, block = factor.inward(tau, p + children[0], children[1], Force.zero())
         return (factor.X.T(p_a), block), (factor, u)
 
-    return d.inward(inward, NO_FORCE, d.zip(factors, tau))
+    return d.inward(inward, NO_FORCE, d.zip(factors, tau, per_link(d, p)))
 
 
 def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
@@ -291,6 +308,8 @@ def acceleration(
     are constant while tracing are not arguments of the rule, so they stay constant.
     """
     given, rebuilt = split_tracers((model, f_ext))
+    top = model.topology
+    in_series = any(parent >= top.nv for parent in top.parents)  # a flexible link carries a link
 
     def plain(*at):
         changed, q, v, tau = at
@@ -302,17 +321,26 @@ def acceleration(
     def solved(changed, q, v, tau):
         model, f_ext = rebuilt(changed)
         d = driver(model, q.dtype)
-        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, f_ext)
+        joints, forces = d.joints(q, v), d.lanes(tau)
+        qdd, factors, *links = aba(d, joints, forces, d.prepared.gravity, f_ext, twists=in_series)
         a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
-        return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
+        rows = [jnp.stack([d.pack(x, tau) for x in d.unzip(y, 6)]) for y in links]
+        rows = [checkpoint_name(x, "acceleration") for x in rows]
 
-    def residual(changed, q, v, tau, a):
+        def solution(change: list[jax.Array]) -> jax.Array:
+            p = Force.from_lanes(change[1]) if rows else None
+            return d.pack(solve(d, factors, d.lanes(change[0]), p=p), tau)
+
+        return (a,), [solution], *rows
+
+    def residual(changed, q, v, tau, a, *links):
         model, f_ext = rebuilt(changed)
         if model.topology.frames:
-            return tau - forces_at(model, q, v, a, f_ext)
+            forces, *p = with_gradient_of_power(rnea, model, q, v, a, f_ext, *links)
+            return [tau - forces, *p]
         d = driver(model, q.dtype)
         forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext)
-        return tau - d.pack(forces, tau)
+        return [tau - d.pack(forces, tau)]
 
     return with_implicit_jvp(plain, solved, residual)(*jax_arrays(given, q, v, tau))[0]
 

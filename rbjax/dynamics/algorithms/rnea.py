@@ -155,7 +155,7 @@ def _run(
         if wrenches is not None:
             d = driver(model, q.dtype)
             f_ext = wrenches_to_links(d, d.joints(q, None), wrenches)
-        return with_gradient_of_power(rnea, model, q, v, a, f_ext)
+        return with_gradient_of_power(rnea, model, q, v, a, f_ext)[0]
     d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)

@@ -7,6 +7,10 @@ For virtual joint rates l, with the virtual twists V* = J l of the links,
 which one outward sweep computes. The vector-Jacobian product of inverse dynamics is its gradient,
 (dID/dx)^T l = dP/dx. A flexible link then needs its motion along l, v and a, but not the axes of
 each of its frames for each of its coordinates (Jourdain's principle of virtual power).
+
+In a chain of slender beams the linear motion of a link is a small difference of large terms w' x r,
+to which the rates of ABA fit only with the rounding errors of ABA. The gradient therefore takes the
+motions of the links from ABA, if it has them. In float32 it is then as accurate as the rates.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from rbjax.dynamics.algorithms.kinematics import LinkForces, per_link, velocity_
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers
 from rbjax.joints.joint import Block
-from rbjax.lanes import Lane, Vec3, add, inner, mul
+from rbjax.lanes import Lane, Vec3, add, inner, is_literal, mul
 from rbjax.model import Model
 from rbjax.spatial import Motion
 
@@ -47,17 +51,24 @@ def virtual_power(
     rates: Any,
     gravity: Vec3,
     f_ext: LinkForces | None = None,
+    known: Any = None,
 ) -> Lane:
     """Compute the virtual power of the forces of `rnea`.
-    joints: `d.joints(q, v, a, l)`. accelerations, rates: of joints, and virtual, per link."""
+
+    joints: `d.joints(q, v, a, l)`. accelerations, rates: of joints, and virtual, per link.
+    known: lanes of the acceleration and of the virtual twist of the links, each (6), per link. They
+        replace the values of the sweep, but not its derivatives.
+    """
 
     def outward(x: Any, parent: VirtualStep) -> tuple[VirtualStep, Lane]:
-        link, joint, qdd, rate, f_ext = x
+        link, joint, qdd, rate, f_ext, *known = x
         X = joint.transform(link)
         w, bias = velocity_bias(joint, X, parent.w)
         relative, block = joint.accelerate(qdd, parent.accelerations)
         turn, rates = joint.virtual(rate, parent.rates)
         a, V = X(parent.a) + bias + relative, X(parent.V) + turn
+        if known and joint.is_first:
+            a, V = replaced(a, known[0]), replaced(V, known[1])
         inertia = joint.inertia(link)
         f = inertia(a) + inertia.bias_force(w) - f_ext
         power = add(V.dot(f), mul(link.armature, mul(qdd, rate)))
@@ -70,37 +81,74 @@ def virtual_power(
 
     zero = Motion.zero()
     root = VirtualStep(Vec3.zero(), Motion(Vec3.zero(), -gravity), zero, (), ())
-    xs = d.zip(d.constants, joints, accelerations, rates, per_link(d, f_ext))
+    more = () if known is None else known
+    xs = d.zip(d.constants, joints, accelerations, rates, per_link(d, f_ext), *more)
     return d.total(d.outward(outward, root, xs))
 
 
+def replaced(own: Motion, known: Any) -> Motion:
+    """Return the lanes of `known` with the derivatives of `own`. Constants of `own` remain."""
+
+    def lane(x: Lane, y: Lane) -> Lane:
+        return x if is_literal(x) or is_literal(y) else _with_derivative_of(x, y)
+
+    return Motion.from_lanes([lane(x, y) for x, y in zip(own, known, strict=True)])
+
+
+@jax.custom_jvp
+def _with_derivative_of(own: jax.Array, value: jax.Array) -> jax.Array:
+    return value
+
+
+@_with_derivative_of.defjvp
+def _rule(at: tuple, along: tuple) -> tuple[jax.Array, jax.Array]:
+    return _with_derivative_of(*at), along[0]
+
+
 def with_gradient_of_power(
-    rnea: Callable, model: Model, q: jax.Array, v: jax.Array, a: jax.Array, f_ext: LinkForces | None
-) -> jax.Array:
+    rnea: Callable,
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    a: jax.Array,
+    f_ext: LinkForces | None,
+    links: jax.Array | None = None,
+) -> list[jax.Array]:
     """Compute the generalized forces (nv,) of `rnea`, with the gradient of the virtual power as
-    reverse derivative."""
+    reverse derivative.
+
+    links: accelerations (6, nv) of the links from ABA. The second result is then zero (6, nv). Its
+        cotangents are the virtual twists of the links.
+    """
     given, rebuilt = split_tracers((model, f_ext))
-    args = jax_arrays(*given, q, v, a)
+    known = () if links is None else (links,)
+    args = jax_arrays(*given, q, v, a, *known)
+    first = len(given)
 
     def forces(*args: jax.Array) -> list[jax.Array]:
-        *changed, q, v, a = args
-        model, f_ext = rebuilt(changed)
+        model, f_ext = rebuilt(list(args[:first]))
+        q, v, a, *known = args[first:]
         d = driver(model, q.dtype)
-        return [d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext), v)]
+        tau = d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, f_ext), v)
+        return [tau, *map(jnp.zeros_like, known)]
 
     def vjp(moving: tuple[bool, ...], args: Any, _: Any, bars: Any) -> list[jax.Array]:
-        (rates,) = bars
+        rates, *twists = bars
 
         def power(*moved: jax.Array) -> Lane:
             rest = iter(moved)
-            *changed, q, v, a = (next(rest) if m else x for m, x in zip(moving, args, strict=True))
-            model, f_ext = rebuilt(changed)
+            every = [next(rest) if m else x for m, x in zip(moving, args, strict=True)]
+            model, f_ext = rebuilt(every[:first])
+            q, v, a, *known = every[first:]
             d = driver(model, q.dtype)
             joints, lanes = d.joints(q, v, a, rates), (d.lanes(a), d.lanes(rates))
-            return virtual_power(d, joints, *lanes, d.prepared.gravity, f_ext)
+            motions = None
+            if known and twists[0] is not None:
+                motions = [d.zip(*map(d.lanes, x)) for x in (*known, *twists)]
+            return virtual_power(d, joints, *lanes, d.prepared.gravity, f_ext, motions)
 
         value, back = jax.vjp(power, *itertools.compress(args, moving))
         return list(back(jnp.ones_like(value)))
 
     avals = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in args]
-    return run(Program(traced(forces, *avals).closed, vjp=vjp), args)[0]
+    return run(Program(traced(forces, *avals).closed, vjp=vjp), args)
