@@ -26,7 +26,7 @@ CALLS = {
     "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
     "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call", "eval_jaxpr",
 }  # fmt: skip
-#: those that have no derivative rule of their own: their equations replace them
+#: calls without a derivative rule, which are replaced by the equations of their jaxpr
 INLINED = {"jit", "pjit", "closed_call", "core_call", "eval_jaxpr"}
 JAXPRS = "jaxpr", "call_jaxpr", "call", "fun_jaxpr"
 #: Equinox's reductions over a batch -> the operation

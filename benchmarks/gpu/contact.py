@@ -57,16 +57,16 @@ def bench(name: str, batch: int, parts: tuple[str, ...]) -> list[dict[str, Any]]
             warnings.filterwarnings("ignore", ".*biased at any step size")
             return jax.grad(lambda u: (end(robot, q, v, u) ** 2).sum())(ctrl)
 
-    kinds = {"gradient": gradient, "scan": scan}
+    functions = {"gradient": gradient, "scan": scan}
     for part in parts:
         row = {"what": part, "robot": short, "engine": "rbjax", "batch": batch}
         if part in robots:
             robot = robots[part]
             row |= timed(row, lambda *x, r=robot: end(r, *x), q, v, ctrl, work=batch * STEPS)
-        elif part in kinds:
+        elif part in functions:
             for kind, robot in robots.items():
                 own = row | {"what": f"{part}, {kind}"}
-                f = lambda *x, r=robot, g=kinds[part]: g(r, *x)  # noqa: E731
+                f = lambda *x, r=robot, g=functions[part]: g(r, *x)  # noqa: E731
                 rows.append(timed(own, f, q, v, ctrl, work=batch * STEPS))
             continue
         else:

@@ -15,18 +15,10 @@ from rbjax.contact.geometry.candidates import PairKind
 from rbjax.contact.geometry.narrow_phase import KINDS
 from rbjax.errors import InputError
 from rbjax.model import WORLD, Model
-from rbjax.model.geoms import OF_EACH_GEOM, SIZES, Geoms
+from rbjax.model.geoms import LEAVES, NUMBERS, OF_EACH_GEOM, RGBA, SIZES, Geoms
 from rbjax.model.record import array_like
-from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
-#: leaf with a row for each geom -> the row of a geom without the argument
-_ROWS: dict[str, Any] = {
-    "friction": (1.0, 0.005, 0.0001), "solref": SOLREF, "solimp": SOLIMP, "margin": 0.0,
-    "gap": 0.0, "solmix": 1.0,
-}  # fmt: skip
-#: static field -> its value without the argument
-_MASKS = {"contype": 1, "conaffinity": 1, "condim": 3, "priority": 0, "group": 0}
-_STATIC: dict[str, Any] = _MASKS | {"rgba": (0.5, 0.5, 0.5, 1.0)}
+_STATIC = {**NUMBERS, "rgba": RGBA}
 #: fields that `Geoms.replace` checks
 _CHECKED = ("friction", "size", "condim", "solref")
 _KINDS = (*SIZES, "plane")
@@ -89,8 +81,8 @@ def with_geom(
     if kind == "plane" and _moving(top, at) != WORLD:
         raise InputError(f"{where}: the plane {name!r} is on {body!r}, expected a fixed body")
     for key in attributes:
-        choice("attribute of a geom", key, (*_ROWS, *_STATIC))
-    rows = {key: attributes.get(key, x) for key, x in _ROWS.items()}
+        choice("attribute of a geom", key, (*LEAVES, *_STATIC))
+    rows = {key: attributes.get(key, x) for key, x in LEAVES.items()}
     rows |= {"size": _sizes(where, kind, size), "position": position, "orientation": orientation}
     fields = {key: attributes.get(key, x) for key, x in _STATIC.items()}
     fields |= {"names": name, "types": kind, "bodies": at}
@@ -111,7 +103,7 @@ def _none(dtype: Any) -> Geoms:
         "pair_solref": (2,), "pair_solreffriction": (2,), "pair_solimp": (5,), "pair_margin": (),
         "pair_gap": (),
     }  # fmt: skip
-    shapes |= {key: np.shape(x) for key, x in _ROWS.items()}
+    shapes |= {key: np.shape(x) for key, x in LEAVES.items()}
     fields: dict[str, Any] = {k: jnp.zeros((0, *shape), dtype) for k, shape in shapes.items()}
     return Geoms(**fields | dict.fromkeys(OF_EACH_GEOM, ()), heights=())
 
@@ -126,7 +118,7 @@ def _with_row(where: str, geoms: Geoms, rows: dict[str, Any], fields: dict[str, 
     turn = leaves["orientation"][-1]
     if not isinstance(turn, jax.core.Tracer) and not np.asarray(turn).any():
         raise InputError(f"{where}: orientation is zero, expected a unit quaternion (w, x, y, z)")
-    fields = {key: integer(where, key, x) if key in _MASKS else x for key, x in fields.items()}
+    fields = {key: integer(where, key, x) if key in NUMBERS else x for key, x in fields.items()}
     fields["rgba"] = tuple(real_array(where, "rgba", fields["rgba"], "(4,)", ndim=1).tolist())
     static: dict[str, Any] = {key: (*getattr(geoms, key), fields[key]) for key in OF_EACH_GEOM}
     count = len(geoms.names)

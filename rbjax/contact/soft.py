@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -254,14 +256,8 @@ class SoftContact:
 
         damping: entries of the diagonal matrix A.
         """
-        model, q, v, tau, *rest = self._arguments(model, t, state, tau, f_ext)
-        rest.append(damping)
-
-        def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
-            a, _, error = damped_acceleration(model, q, v, tau, *rest)
-            return [a, error]
-
-        a, error = threads(solved)(q, v, tau)
+        of = functools.partial(damped_acceleration, damping=damping)
+        a, error = self._accelerated(slice(0, 3, 2), model, t, state, tau, f_ext, of=of)
         return a, error
 
     def solver_tolerance(self, dtype: Any) -> float:
@@ -269,12 +265,14 @@ class SoftContact:
         the iteration ends, since rounding may leave more."""
         return 10 * tolerance_of(dtype)
 
-    def _accelerated(self, which: slice, *given: Any) -> list[jax.Array]:
-        """Compute the results of `contact_acceleration` that the slice `which` selects."""
+    def _accelerated(
+        self, which: slice, *given: Any, of: Callable = contact_acceleration
+    ) -> list[jax.Array]:
+        """Compute the results of a function `of` that the slice `which` selects."""
         model, q, v, tau, *rest = self._arguments(*given)
 
         def solved(q: jax.Array, v: jax.Array, tau: jax.Array) -> list[jax.Array]:
-            return list(contact_acceleration(model, q, v, tau, *rest)[which])
+            return list(of(model, q, v, tau, *rest)[which])
 
         return threads(solved)(q, v, tau)
 

@@ -22,7 +22,7 @@ from rbjax.dynamics.arguments import check_model
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.flexible.elasticity import BeamElasticity, beam_of
 from rbjax.flexible.strain import STRAINS, StrainBeam, stiffness_matrix
-from rbjax.lanes import inner, pack, unpack
+from rbjax.lanes import Lane, inner, pack, unpack
 from rbjax.model import Model
 
 #: the leaves of `BeamElasticity` with columns
@@ -59,10 +59,9 @@ def elastic_regressor(model: Model, q: ArrayLike, v: ArrayLike) -> jax.Array:
         [2.0, 2.0]
     """
     columns = []
-    for joint, name, leaf in _elastic(model):
+    for joint, name, leaf, length in _elastic("elastic_regressor", model, q.dtype):
         at_q, at_v = model.q_slice(joint), model.v_slice(joint)
         x = list(unpack(q)[at_q] if name == "stiffness" else unpack(v)[at_v])
-        length = beam_of(model, joint, q.dtype, "elastic_regressor")[1]
         for entry in leaf.entries:
             rows: list[Any] = [0.0] * model.nv
             rows[at_v] = [
@@ -92,8 +91,9 @@ def elastic_parameters(model: Model) -> jax.Array:
         [6.0, 1.5]
     """
     check_model("elastic_parameters", model)
-    values = [leaf.value[entry] for _, _, leaf in _elastic(model) for entry in leaf.entries]
     dtype = model.gravity.dtype
+    leaves = (leaf for _, _, leaf, _ in _elastic("elastic_parameters", model, dtype))
+    values = [leaf.value[entry] for leaf in leaves for entry in leaf.entries]
     return jnp.stack([jnp.asarray(x, dtype) for x in values]) if values else jnp.zeros(0, dtype)
 
 
@@ -122,18 +122,18 @@ def elastic_names(model: Model) -> tuple[str, ...]:
     check_model("elastic_names", model)
     return tuple(
         f"{joint}.{name}[{leaf.place(entry)}]"
-        for joint, name, leaf in _elastic(model)
+        for joint, name, leaf, _ in _elastic("elastic_names", model, model.gravity.dtype)
         for entry in leaf.entries
     )
 
 
-def _elastic(model: Model) -> Iterator[tuple[str, str, _Leaf]]:
-    """Yield the beam, the name and the layout of each leaf with columns."""
+def _elastic(where: str, model: Model, dtype: Any) -> Iterator[tuple[str, str, _Leaf, Lane]]:
+    """Yield the beam, the name and the layout of each leaf with columns, and the beam's length."""
     for element in model.forces:
         if isinstance(element, BeamElasticity):
-            kind, _ = beam_of(model, element.joint, model.gravity.dtype, "elastic_names")
+            kind, length = beam_of(model, element.joint, dtype, where)
             for name in _LEAVES:
-                yield element.joint, name, _Leaf.of(kind, getattr(element, name))
+                yield element.joint, name, _Leaf.of(kind, getattr(element, name)), length
 
 
 class _Leaf(NamedTuple):

@@ -80,7 +80,7 @@ class JointMotion:
 
     @property
     def is_first(self) -> bool:
-        """Whether the dof is not a frame of a flexible link, or a coordinate after its first."""
+        """False for a frame of a flexible link, and for its coordinates after the first."""
         return True
 
     def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:

@@ -14,13 +14,22 @@ from rbjax.arguments import shown
 from rbjax.errors import InputError, listed
 from rbjax.model.hulls import Hull
 from rbjax.model.record import Record
+from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 #: kind of a geom -> the number of entries of its size that must be positive
 SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
+#: defaults of parameters that geoms and explicit pairs share
+PARAMETERS: Mapping[str, Any] = {"solref": SOLREF, "solimp": SOLIMP, "margin": 0.0, "gap": 0.0}
+#: leaf with a row for each geom -> MuJoCo's default
+LEAVES: Mapping[str, Any] = {"friction": (1.0, 0.005, 0.0001), "solmix": 1.0, **PARAMETERS}
+#: static field with a number for each geom -> MuJoCo's default
+NUMBERS: Mapping[str, Any] = {
+    "contype": 1, "conaffinity": 1, "condim": 3, "priority": 0, "group": 0
+}  # fmt: skip
+#: MuJoCo's default colour
+RGBA = (0.5, 0.5, 0.5, 1.0)
 #: static fields with an entry for each geom
-OF_EACH_GEOM = (
-    "names", "types", "bodies", "contype", "conaffinity", "condim", "priority", "group", "rgba",
-)  # fmt: skip
+OF_EACH_GEOM = ("names", "types", "bodies", *NUMBERS, "rgba")
 
 
 class Geoms(Record):

@@ -142,7 +142,7 @@ class Field:
 
     def acceleration(self, t: Any, state: State, u: Inputs, dt: Any) -> tuple[Any, Any, Any]:
         """Compute the acceleration (nv,), x (nx,) after a step dt, memory and report."""
-        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
+        tau, f_ext, x = self.step_forces(t, state, u, dt)
         a, error = self._acceleration(t, state, tau, f_ext)
         return a, x, self.kept(state, error)
 
@@ -153,7 +153,7 @@ class Field:
 
         damping: entries of the diagonal matrix A. The dynamics is soft contact.
         """
-        tau, f_ext, x = applied(self.precomputed, t, state, u, dt, advance=True)
+        tau, f_ext, x = self.step_forces(t, state, u, dt)
         given = self._model_of_dynamics, t, state, tau, f_ext, damping
         a, error = self.law.damped_acceleration(*given)
         return a, x, self.kept(state, error)

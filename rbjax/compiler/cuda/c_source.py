@@ -122,15 +122,13 @@ class Printer:
                 yield "#pragma unroll 1"
                 yield "for(;;){"
                 yield from self.lines(test)
-                if id(statement) in self.in_step:
-                    yield f"if(!__syncthreads_or({v(condition)}))break;"
-                    yield f"if({v(condition)}){{"
-                    yield from self.lines(body)
-                    yield "}}"
-                else:
-                    yield f"if(!({v(condition)}))break;"
-                    yield from self.lines(body)
-                    yield "}"
+                together = id(statement) in self.in_step
+                yield f"if(!{'__syncthreads_or' if together else ''}({v(condition)}))break;"
+                if together:
+                    yield f"if({v(condition)})"
+                yield "{"
+                yield from self.lines(body)
+                yield "}}"
             case ir.If(condition=condition, then=then, otherwise=otherwise):
                 yield f"if({v(condition)}){{"
                 yield from self.lines(then)

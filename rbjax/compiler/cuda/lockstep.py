@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.program import Written
 
-#: operations of a program that the instruction cache holds; of one that iterates, whose warps drift
-#: apart by more; and of a loop
+#: the number of operations above which a program runs in step; the same for a program with a
+#: `while` loop, in which warps drift further apart; and for each of its loops
 LONG_PROGRAM, LONG_ITERATION, LONG_LOOP = 8_000, 4_000, 1_000
 #: the most warps of a block: with 255 registers a thread, all that a multiprocessor holds
 MOST_WARPS = 8

@@ -39,8 +39,8 @@ def needed(
     for eqn in reversed(eqns):
         read = [v in wanted and v not in known for v in eqn.outvars]
         if any(read) and eqn.primitive.name == "fusion_barrier":
-            ins, own = (_split(x, read)[1] for x in (eqn.invars, eqn.outvars))
-            eqn = eqn.replace(invars=ins, outvars=own)
+            ins, own = itertools.compress(eqn.invars, read), itertools.compress(eqn.outvars, read)
+            eqn = eqn.replace(invars=[*ins], outvars=[*own])
         if (effects and eqn.effects) or any(read):
             kept.append(eqn)
             wanted.update(a for a in eqn.invars if isinstance(a, Var))
@@ -145,7 +145,7 @@ class EquationKind:
         return _trace_dependent(back, [*still, *cotangents], n, 0, [True] * len(moved))
 
 
-def _split(xs: Sequence, moving: Sequence[bool]) -> tuple[list, list]:
+def _split(xs: Sequence, moving: Flags) -> tuple[list, list]:
     """Split xs into the entries whose flag in `moving` is False, and whose flag is True."""
     return [x for x, m in zip(xs, moving, strict=True) if not m], [*itertools.compress(xs, moving)]
 

@@ -59,8 +59,11 @@ class _Iterate(NamedTuple):
 def solve_direction(
     problem: Problem, factors: Any, b: jax.Array, residuals: Sequence[jax.Array], acts: Any = True
 ) -> Direction:
-    """Solve H x = b from the factors of H_0, or H_0 x = b unless the contacts between two links
-    `acts`. residuals: J x - a_ref of all contacts."""
+    """Solve H x = b from the factors of H_0.
+
+    residuals: J x - a_ref of all contacts.
+    acts: whether the contacts between two links act; otherwise H is H_0.
+    """
     tree, dtype = problem.tree, problem.dtype
     if not any(contacts.coupled for contacts in problem.sets):
         x, twists = tree.step(factors, b, dtype)

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.loading.write.contacts import DOF_LEAVES, JOINT_LEAVES, LEAVES, PAIR_LEAVES, rubs
+from rbjax.loading.write.contacts import DOF_LEAVES, JOINT_LEAVES, PAIR_LEAVES, rubs
 from rbjax.loading.write.draft import text
 from rbjax.model import Model
+from rbjax.model.geoms import LEAVES
 
 _CLOSE = 1e-12  # relative change below which a number is not written
 

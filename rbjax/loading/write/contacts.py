@@ -19,19 +19,17 @@ from rbjax.loading.mjcf.contacts import kinds_of
 from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import WORLD, Model
+from rbjax.model.geoms import LEAVES, NUMBERS, PARAMETERS, RGBA
 from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 #: kind of a geom -> the entries of its size in a file
 SIZES = {"plane": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
-_COMMON = {"solref": SOLREF, "solimp": SOLIMP, "margin": 0.0, "gap": 0.0}
-#: leaf of the geoms, and attribute of a geom -> default
-LEAVES = {"friction": (1.0, 0.005, 0.0001), "solmix": 1.0, **_COMMON}
-_STATIC = {"contype": 1, "conaffinity": 1, "condim": 3, "priority": 0, "group": 0,
-           "rgba": (0.5, 0.5, 0.5, 1.0)}  # fmt: skip
+#: attribute of a geom -> default
+_ATTRIBUTES = {**LEAVES, **NUMBERS, "rgba": RGBA}
 PAIR_LEAVES = {
     "friction": (1.0, 1.0, 0.005, 0.0001, 0.0001),
     "solreffriction": (0.0, 0.0),
-    **_COMMON,
+    **PARAMETERS,
 }
 #: attribute of a joint -> the leaf of `model.solver` per joint, and its default
 JOINT_LEAVES = {
@@ -53,8 +51,8 @@ def write_geoms(draft: Draft) -> None:
     for i, (name, kind) in enumerate(zip(unique(geoms.names), geoms.types, strict=True)):
         if kind not in SIZES:
             continue
-        given = {key: getattr(geoms, key)[i] for key in (*LEAVES, *_STATIC)}
-        attributes = _unusual(given, LEAVES | _STATIC)
+        given = {key: getattr(geoms, key)[i] for key in _ATTRIBUTES}
+        attributes = _unusual(given, _ATTRIBUTES)
         used = np.flatnonzero(geoms.size[i]).max(initial=0) + 1  # a file may give more than needed
         size = text(geoms.size[i, : max(used, SIZES[kind])])
         pose = {"pos": text(geoms.position[i]), "quat": text(geoms.orientation[i])}
@@ -159,7 +157,7 @@ def contact_arrays(model: Model, geoms: Iterable[int]) -> Iterator[tuple[str, An
         turns = own.orientation[at]
         turns = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
         yield "geoms.orientation", turns[:, :, None] * turns[:, None, :], names
-        for key in _STATIC:
+        for key in (*NUMBERS, "rgba"):
             yield f"geoms.{key}", np.array([getattr(own, key)[i] for i in at], float), names
     solver, top = model.solver, model.topology
     if solver is not None:

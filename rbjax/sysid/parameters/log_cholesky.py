@@ -29,9 +29,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike, real_array, real_number
+from rbjax.arguments import ArrayLike, floating_array, real_array, real_number
 from rbjax.dynamics import inertial_parameters
-from rbjax.dynamics.arguments import check_array, check_model, shape_of
+from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.rotations.arguments import entries, stacked, takes
@@ -232,13 +232,9 @@ def nearest_pseudo_inertia(P: ArrayLike, margin: float = 1e-6) -> jax.Array:
     """
     where = "nearest_pseudo_inertia"
     real_number(where, "margin", margin, "a number above 0", above=0.0)
-    shape = shape_of(where, "P", P)
-    if shape[-2:] != (4, 4):
-        raise InputError(f"{where}: P has shape {shape}, expected (..., 4, 4)")
+    P = floating_array(where, "P", P, lambda shape: shape[-2:] == (4, 4), "(..., 4, 4)")
     if not isinstance(P, jax.core.Tracer):
-        numbers = real_array(where, "P", P)
-        P = jnp.asarray(P if np.asarray(P).dtype.kind == "f" else numbers)
-    P = jnp.asarray(P)
+        real_array(where, "P", P)  # rejects nan
     w, V = jnp.linalg.eigh((P + jnp.swapaxes(P, -1, -2)) / 2)
     least = margin * w[..., -1:]
     lifted = (V * jnp.maximum(w, least)[..., None, :]) @ jnp.swapaxes(V, -1, -2)

@@ -167,7 +167,7 @@ def consistent(
     where = "consistent"
     check_model(where, model)
     names = parameter_names(model, joint_terms)
-    if len(names) > 10 * model.nb + len(joint_terms) * joint_coordinates(model).size:
+    if model.topology.frames:
         raise InputError(
             f"{where}: the model has beams, whose sections have no log-Cholesky coordinates; use "
             "regress, whose estimates of positive quantities may be negative"
