@@ -201,6 +201,7 @@ def main() -> None:
     called, twice = frames()
     print("frames to the first product:", len(called), *called)
     print("frames passed twice:", twice)
+    from docs.generate.reference import rooms
     from rbjax import control, sysid
 
     for room in (control, sysid):
@@ -210,6 +211,9 @@ def main() -> None:
             "public names:",
             {k: len(x) for k, x in names.items()},
         )
+        homes = (path for paths in rooms.results().values() for path in paths)
+        found = sum(path.startswith(f"{room.__name__}.") for path in homes)
+        print(found, "results without a public name, described after their functions")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ import numpy as np
 
 import rbjax as rb
 from rbjax import sysid
+from rbjax.sysid.torque.encoder_zeros import WithZeros
+from rbjax.sysid.torque.rows import TorqueRows
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "dfki_double_pendulum"
 #: design -> folder of its recordings, name of the published model, length of the first link
@@ -101,7 +103,7 @@ def recordings(design: str) -> list[sysid.Recording]:
 
 def rows(
     model: rb.Model, runs: Any, cutoff: float = CUTOFF, terms: Any = TERMS, **how: Any
-) -> list[sysid.torque.TorqueRows]:
+) -> list[TorqueRows]:
     """The equations of each run."""
     how = {"signal_cutoff": SIGNALS, "smoothing": SMOOTHING, **how}
     return [sysid.torque.torque_rows(model, r, cutoff, joint_terms=terms, **how) for r in runs]
@@ -148,7 +150,7 @@ def score(
 class Fitted(NamedTuple):
     """A fit: zeros and noise by regression, and a model that bodies can have."""
 
-    linear: sysid.torque.WithZeros
+    linear: WithZeros
     values: np.ndarray
     model: rb.Model
 
@@ -196,9 +198,7 @@ def free_run(
     return (np.asarray(path.q) - want)[:count]
 
 
-def ladder(
-    rows: Any, models: Any, full: sysid.torque.WithZeros
-) -> tuple[list[sysid.statistics.Scored], float]:
+def ladder(rows: Any, models: Any, full: WithZeros) -> tuple[list[sysid.statistics.Scored], float]:
     """Sums of squares of nested models (name, columns, spread of zeros), all in the noise of the
     full one, and the effective number of samples of its residuals."""
     rows, scored = list(rows), []

@@ -14,7 +14,7 @@ import numpy as np
 
 from rbjax import wheeled
 from rbjax.sysid import Channel, Recording
-from rbjax.sysid.statistics import Comparison
+from rbjax.sysid.statistics.comparisons import Comparison
 from rbjax.sysid.torque import select
 from rbjax.wheeled import HeadingSlip, Robot
 from rbjax.wheeled.robot.catalogue import omnidirectional

@@ -27,7 +27,8 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control.linear import Gains, LinearQuadratic, backward, parallel_backward
+from rbjax.control.linear import LinearQuadratic, backward, parallel_backward
+from rbjax.control.linear.riccati import Gains
 
 COLUMNS = ("precision", "batch", "horizon", "method", "compile_s", "ms", "us a step", "difference")
 HORIZONS = (16, 64, 256, 1024, 4096)

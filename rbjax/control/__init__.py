@@ -40,7 +40,6 @@ from rbjax.control.optimal import (
     Method,
     Point,
     Pose,
-    PredictiveController,
     Problem,
     RealTime,
     SampledStart,
@@ -64,7 +63,7 @@ __all__ = [
     "Problem", "Design", "solve", "Solution", "Status", "methods", "Method", "Sampling",
     "SampledStart", "System", "Equations",
     # model predictive control
-    "mpc", "PredictiveController", "TickStatus", "RealTime",
+    "mpc", "TickStatus", "RealTime",
     # costs and constraints
     "Cost", "Constraint", "Term", "StateError", "Velocity", "Configuration", "Control", "Effort",
     "Acceleration", "Jerk", "CenterOfMass", "Pose", "Point", "FrameVelocity", "Clearance", "Sphere",

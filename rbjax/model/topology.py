@@ -25,11 +25,15 @@ WORLD = -1
 
 
 class Span(NamedTuple):
-    """The slices of a joint in q and v."""
+    """The slices of a joint in q and v.
 
-    q: slice  # coordinates whose increments are added
-    v: slice  # their velocities
-    #: a unit quaternion in q and its angular velocity in v, or None
+    q: coordinates whose increments are added.
+    v: their velocities.
+    attitude: a unit quaternion in q and its angular velocity in v, or None.
+    """
+
+    q: slice
+    v: slice
     attitude: tuple[slice, slice] | None
 
 

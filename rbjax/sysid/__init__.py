@@ -24,28 +24,25 @@ from rbjax.status import Status
 from rbjax.sysid import data, design, parameters, statistics, torque
 from rbjax.sysid.data.readers import Column, read_csv, read_npz
 from rbjax.sysid.data.recording import Channel, Recording
-from rbjax.sysid.data.recording_checks import Finding, findings
-from rbjax.sysid.data.splits import Split, split
+from rbjax.sysid.data.recording_checks import findings
+from rbjax.sysid.data.splits import split
 from rbjax.sysid.estimators.identification import identifiability, identify
 from rbjax.sysid.estimators.identified import Identified, free_run
-from rbjax.sysid.estimators.multi_start import Basin, ManyStarts, many_starts
-from rbjax.sysid.estimators.prediction import Predicted, prediction_error
-from rbjax.sysid.judgement.corrections import Cause, Diagnosis
+from rbjax.sysid.estimators.multi_start import many_starts
+from rbjax.sysid.estimators.prediction import prediction_error
 from rbjax.sysid.judgement.diagnosis import diagnose
-from rbjax.sysid.judgement.repeated_fits import MonteCarlo, monte_carlo
+from rbjax.sysid.judgement.repeated_fits import monte_carlo
 from rbjax.sysid.judgement.report_page import report
 from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
-from rbjax.sysid.simulation.objective import Squares, squares
+from rbjax.sysid.simulation.objective import squares
 from rbjax.sysid.simulation.setup import PD, Calibration, Grid, Setup
-from rbjax.sysid.simulation.traces import Trace
 
 __all__ = [
-    "Basin", "Calibration", "Cause", "Channel", "Column", "Derived", "Diagnosis", "Finding",
-    "FixedTotal", "Grid", "Identified", "Inertia", "ManyStarts", "MonteCarlo", "PD", "Predicted",
-    "Recording", "Setup", "Shared", "Split", "Squares", "Status", "Tilt", "Trace", "Unknown",
-    "data", "design", "diagnose", "findings", "free_run", "identifiability", "identify",
-    "many_starts", "monte_carlo", "parameters", "prediction_error", "read_csv", "read_npz",
-    "report", "split", "squares", "statistics", "torque",
+    "Calibration", "Channel", "Column", "Derived", "FixedTotal", "Grid", "Identified", "Inertia",
+    "PD", "Recording", "Setup", "Shared", "Status", "Tilt", "Unknown", "data", "design", "diagnose",
+    "findings", "free_run", "identifiability", "identify", "many_starts", "monte_carlo",
+    "parameters", "prediction_error", "read_csv", "read_npz", "report", "split", "squares",
+    "statistics", "torque",
 ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Cost, Equations, Problem, RealTime, mpc, solve
-from rbjax.control.optimal.receding_horizon import FALLBACK, KEPT, PLANNED
+from rbjax.control.optimal.ticks import FALLBACK, KEPT, PLANNED
 from rbjax.errors import InputError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, mpc
-from rbjax.control.optimal.receding_horizon import KEPT, PLANNED, VIOLATED
+from rbjax.control.optimal.ticks import KEPT, PLANNED, VIOLATED
 
 LIMIT, OFF = 0.2, 1e-4  # m/s, and the default violation
 

@@ -45,3 +45,12 @@ def test_groups_have_every_name_once(room):
     assert len(grouped) == len(set(grouped))
     rest = {e.path for e in rooms.entries(room)} - set(grouped)
     assert all(room == "" and rooms.inner_rooms(p.removeprefix("rbjax.")) is not None for p in rest)
+
+
+def test_results_without_a_public_name_are_described_once_after_their_function():
+    text = "\n".join(reference.pages(ROOT).values())
+    found = {path: cls for paths in rooms.results().values() for path, cls in paths.items()}
+    assert "rbjax.control.linear.algebraic_riccati.Regulator" in found
+    for path, cls in found.items():
+        assert text.count(f"\n::: {path}\n") == 1, path
+        assert rooms.first_sentence(cls.__doc__ or ""), path

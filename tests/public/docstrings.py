@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import rbjax as rb
+from docs.generate.reference import rooms
 
 #: a shape: (n,), (..., 3), (T, nq), (), (...)
 SHAPE = re.compile(
@@ -36,7 +37,8 @@ CHECKS = re.compile(
 
 
 def public() -> Iterator[tuple[str, Any]]:
-    """Names and values of `rb.__all__`, of the rooms' `__all__` and of the modules in it."""
+    """Names and values of `rb.__all__`, of the rooms' `__all__` and of the modules in it; results
+    of public functions."""
     seen: set[int] = set()
 
     def of(room: Any, prefix: str) -> Iterator[tuple[str, Any]]:
@@ -49,7 +51,9 @@ def public() -> Iterator[tuple[str, Any]]:
                 seen.add(id(x))
                 yield prefix + name, x
 
-    return of(rb, "")
+    yield from of(rb, "")
+    for paths in rooms.results().values():
+        yield from ((path.removeprefix("rbjax."), cls) for path, cls in paths.items())
 
 
 def raises(x: Any) -> bool:

@@ -32,7 +32,7 @@ ELSEWHERE: dict[str, set[str]] = {
     "control.optimal": {"methods", "mpc"},
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
-              "diagnose", "differentiate", "equations", "estimates", "findings", "free_run",
+              "diagnose", "differentiate", "estimates", "findings", "free_run",
               "held_out", "identifiability", "identify", "in_si", "low_pass", "many_starts",
               "monte_carlo", "parameter_names",
               "prediction_error", "random_motions", "read_csv", "read_npz", "regress",

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from docs.generate.reference import rooms
 from rbjax import display
 
 SKIPPED = ("viewer",)  # its classes hold models and files
 
 
 def public_classes() -> dict[str, type]:
-    """The classes of `rb.__all__`, of the rooms' `__all__` and of the modules in it, by name."""
+    """The classes of `rb.__all__`, of the rooms' `__all__` and of the modules in it, and the
+    results of public functions, by name."""
     found: dict[str, type] = {}
 
     def add(room: Any, prefix: str) -> None:
@@ -27,6 +29,8 @@ def public_classes() -> dict[str, type]:
                 found[prefix + name] = x
 
     add(rb, "")
+    for paths in rooms.results().values():
+        found |= {path.removeprefix("rbjax."): cls for path, cls in paths.items()}
     return {name: x for name, x in found.items() if not name.startswith(SKIPPED)}
 
 

@@ -9,6 +9,7 @@ import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError
 from rbjax.sysid.torque.consistency import _Problem
+from rbjax.sysid.torque.torque_equations import equations
 from tests.oracles import load
 from tests.robots import load_quietly
 from tests.sysid.arms import fourier, planar_2R
@@ -129,7 +130,7 @@ def test_outliers_by_the_weights_of_a_robust_regression():
 
 def test_the_jacobian_is_exact():
     cad, W, pi, base = arm5()
-    eq = sysid.torque.equations(W, W @ pi, base.names, base=base, noise=0.1)
+    eq = equations(W, W @ pi, base.names, base=base, noise=0.1)
     linear = sysid.torque.regression.weighted(eq)
     R = np.linalg.qr((W / 0.1).reshape(-1, len(pi)), mode="r")
     problem = _Problem(cad, TERMS, R, R @ pi, np.asarray(0.5), linear)

@@ -30,6 +30,7 @@ from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.torque.consistency import _Problem
 from rbjax.sysid.torque.encoder_zeros import _augmented
 from rbjax.sysid.torque.regression import LOSSES, METHODS, weighted
+from rbjax.sysid.torque.torque_equations import equations
 from tests.sysid.test_prediction_error import first
 from tests.sysid.test_torque_rows import MODEL as ARM
 from tests.sysid.test_torque_rows import TERMS, run, truth
@@ -135,7 +136,7 @@ def consistent() -> Case:
     tau = measured()[1]
     terms = ("armature", "viscous")
     W = np.asarray(sysid.torque.observation_matrix(MODEL, Q, V, A, joint_terms=terms))
-    eq = sysid.torque.equations(W, tau, sysid.torque.parameter_names(MODEL, terms), noise=0.3)
+    eq = equations(W, tau, sysid.torque.parameter_names(MODEL, terms), noise=0.3)
     X = W.reshape(-1, W.shape[-1]) / 0.3
     problem = _Problem(MODEL, terms, X, tau.ravel() / 0.3, np.asarray(0.5), weighted(eq))
     x = problem.start + 0.1 * np.random.default_rng(0).normal(size=problem.start.size)

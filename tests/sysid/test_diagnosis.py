@@ -8,9 +8,10 @@ import pytest
 
 import rbjax as rb
 from benchmarks.cases.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
-from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Trace, Unknown, diagnose, identify
+from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Unknown, diagnose, identify
 from rbjax.sysid.judgement.corrections import drop_samples, estimate_clock_rate, flip, stretch, swap
 from rbjax.sysid.simulation.setup import simulate_motion
+from rbjax.sysid.simulation.traces import Trace
 
 
 def seen(q):

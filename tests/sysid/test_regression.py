@@ -1,5 +1,6 @@
 """Regression against exact fractions, and against truths of simulated measurements."""
 
+import dataclasses
 import functools
 
 import jax
@@ -9,7 +10,8 @@ import pytest
 
 import rbjax as rb
 from rbjax import sysid
-from rbjax.errors import InputError
+from rbjax.errors import InputError, UnknownName
+from rbjax.sysid.torque.regression import weighted
 from tests.oracles import load
 from tests.sysid.arms import fourier, planar_2R
 
@@ -231,13 +233,16 @@ def test_instruments_of_the_simulated_arm():
     assert biased.max() > 5 and free.max() < 1.5, (biased, free)
 
 
-def test_the_method_is_one_of_a_dict():
+def test_the_method_may_be_a_function():
     names, W, tau, _, beta = experiment(100)
-    sysid.torque.METHODS["half"] = lambda eq: sysid.torque.regression.weighted(eq)
-    try:
-        assert np.allclose(sysid.torque.regress(W, tau, names, method="half").beta, beta)
-    finally:
-        del sysid.torque.METHODS["half"]
+
+    def scaled(eq, *, factor):
+        return dataclasses.replace(weighted(eq), beta=factor * weighted(eq).beta)
+
+    found = sysid.torque.regress(W, tau, names, method=scaled, factor=2.0)
+    assert np.allclose(found.beta, 2 * beta)
+    with pytest.raises(UnknownName, match="factor"):
+        sysid.torque.regress(W, tau, names, method=scaled, factors=2.0)
 
 
 def test_the_place_of_a_wrong_number_is_named():

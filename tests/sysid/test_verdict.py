@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, Status, Trace, Unknown, identify
+from rbjax.sysid import Channel, Recording, Status, Unknown, identify
 from rbjax.sysid.estimators.verdict import constant_columns, is_poor, judge, without_outliers
+from rbjax.sysid.simulation.traces import Trace
 from rbjax.sysid.statistics import held_out
 from rbjax.sysid.statistics.residual_tests import explained, varies
 

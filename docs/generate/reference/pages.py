@@ -102,7 +102,11 @@ def described(entry: rooms.Entry, room: str) -> list[str]:
         return [f"### {entry.name} {{#{entry.path}}}", "", "```python", text, "```"]
     if entry.home != entry.path:
         return []
-    return [f"::: {entry.path}", "    options:", f"      heading: {entry.name}"]
+    lines = [f"::: {entry.path}", "    options:", f"      heading: {entry.name}"]
+    for path, cls in rooms.results().get(id(entry.value), {}).items():
+        lines += ["", f"::: {path}", "    options:", f"      heading: {cls.__name__}",
+                  "      heading_level: 4"]  # fmt: skip
+    return lines
 
 
 def value_names(value: object) -> str:

@@ -290,7 +290,7 @@ def identification() -> str:
         rb.estimation.kalman_filter, rb.estimation.kalman_smoother,
     ]  # fmt: skip
     rows = [(linked(f), sentence(f)) for f in found]
-    weights = [(f"`{n}`", sentence(f)) for n, f in rb.sysid.torque.METHODS.items()]
+    weights = [(f"`{n}`", sentence(f)) for n, f in rb.sysid.torque.regression.METHODS.items()]
     terms = [(f"`{n}`",) for n in rb.sysid.torque.JOINT_TERMS]
     return page(
         "Methods of identification",

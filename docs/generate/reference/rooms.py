@@ -11,6 +11,8 @@ import enum
 import importlib
 import inspect
 import re
+import typing
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -179,7 +181,58 @@ def homes() -> dict[int, str]:
             path = f"rbjax.{room}.{name}" if room else f"rbjax.{name}"
             if is_documented(value):
                 found.setdefault(id(value), path)
+    return found | {id(cls): path for paths in results().values() for path, cls in paths.items()}
+
+
+@cache
+def results() -> dict[int, dict[str, type]]:
+    """Results without a public name: path -> class, by the id of the first public function that
+    returns them, after which they are described."""
+    values = [getattr(package(room), name) for room in all_rooms() for name in names(room)]
+    public = list({id(x): x for x in values if is_documented(x)}.values())
+    seen = {id(x) for x in public}
+    found: dict[int, dict[str, type]] = {}
+    for value in (x for x in public if not inspect.isclass(x)):
+        paths, queue = found.setdefault(id(value), {}), [value]
+        while queue:
+            for cls in returned(queue.pop(0)):
+                if id(cls) not in seen and not cls.__name__.startswith("_"):
+                    seen.add(id(cls))
+                    paths[f"{cls.__module__}.{cls.__qualname__}"] = cls
+                    queue.append(cls)
     return found
+
+
+def returned(value: Any) -> Iterator[type]:
+    """The classes of rbjax that a function returns. Of a class: those of its fields, properties and
+    methods that are results, which show themselves, of the same room."""
+    if not inspect.isclass(value):
+        yield from classes_in(hints(inspect.unwrap(value)).get("return"))
+        return
+    home = value.__module__.split(".")[:2]
+    found = list(hints(value).values())
+    for name, member in vars(value).items():
+        member = getattr(member, "fget", getattr(member, "func", member))
+        if not name.startswith("_") and inspect.isfunction(member):
+            found.append(hints(member).get("return"))
+    for cls in classes_in(*found):
+        if cls.__module__.split(".")[:2] == home and hasattr(cls, "_repr_html_"):
+            yield cls
+
+
+def hints(value: Any) -> dict[str, Any]:
+    """Annotations; none if they have names that only type checkers import."""
+    with contextlib.suppress(NameError, TypeError):
+        return typing.get_type_hints(value)
+    return {}
+
+
+def classes_in(*notes: Any) -> Iterator[type]:
+    """The classes of rbjax in annotations, such as X in dict[str, X] and in X | None."""
+    for note in notes:
+        if inspect.isclass(note) and note.__module__.startswith("rbjax."):
+            yield note
+        yield from classes_in(*typing.get_args(note))
 
 
 def entries(room: str) -> list[Entry]:
@@ -246,10 +299,10 @@ def links() -> dict[str, str]:
 
 
 def signatures() -> dict[str, list[tuple[str, str, str | None, str | None]]]:
-    """The parameters of the constructors of public classes, by the path of the class's source."""
+    """The parameters of the constructors of public classes and of results, by their sources."""
     found = {}
-    for entry in (e for room in all_rooms() for e in entries(room)):
-        cls = entry.value
+    public = [e.value for room in all_rooms() for e in entries(room)]
+    for cls in (*public, *(cls for paths in results().values() for cls in paths.values())):
         if not inspect.isclass(cls) or issubclass(cls, BaseException | enum.Enum):
             continue
         with contextlib.suppress(ValueError, TypeError):

@@ -1,28 +1,21 @@
 """Feedback laws: controllers, allocation of forces to actuators, regions of attraction."""
 
-from rbjax.control.laws.allocation import Allocation, allocate
-from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction
+from rbjax.control.laws.allocation import allocate
+from rbjax.control.laws.attraction_map import region_of_attraction
 from rbjax.control.laws.controller import Controller
 from rbjax.control.laws.frame_laws import (
-    CartesianImpedance,
-    OperationalSpace,
     cartesian_impedance,
     operational_space,
 )
 from rbjax.control.laws.joint_laws import (
-    ComputedTorque,
-    GravityCompensation,
-    JointImpedance,
     computed_torque,
     gravity_compensation,
     joint_impedance,
 )
 
 __all__ = [
-    "Allocation", "CartesianImpedance", "ComputedTorque", "Controller", "GravityCompensation",
-    "JointImpedance", "OperationalSpace", "RegionMap", "allocate", "cartesian_impedance",
-    "computed_torque", "gravity_compensation", "joint_impedance", "operational_space",
-    "region_of_attraction",
+    "Controller", "allocate", "cartesian_impedance", "computed_torque", "gravity_compensation",
+    "joint_impedance", "operational_space", "region_of_attraction",
 ]  # fmt: skip
 
 

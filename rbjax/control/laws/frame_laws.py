@@ -54,7 +54,11 @@ NEAR, DAMPED = 1e-3, 1e-2
 
 
 class FrameTask(Record):
-    """A frame and the controlled part of its pose. All fields are static."""
+    """A frame and the controlled part of its pose. All fields are static.
+
+    site, body: the name of the frame; one of the two is None.
+    kind: "pose", "position" or "rotation".
+    """
 
     site: str | None = eqx.field(static=True)
     body: str | None = eqx.field(static=True)

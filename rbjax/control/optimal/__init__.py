@@ -10,7 +10,7 @@ every tick. `RealTime` does the same in real time.
 from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
 from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.real_time import RealTime
-from rbjax.control.optimal.receding_horizon import PredictiveController, TickStatus, mpc
+from rbjax.control.optimal.receding_horizon import mpc
 from rbjax.control.optimal.registry import Method, methods
 from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
 from rbjax.control.optimal.solution import Solution
@@ -32,14 +32,15 @@ from rbjax.control.optimal.terms import (
     Term,
     Velocity,
 )
+from rbjax.control.optimal.ticks import TickStatus
 from rbjax.status import Status
 
 __all__ = [
     "Acceleration", "Capsule", "CenterOfMass", "Clearance", "Configuration", "Constraint",
     "Control", "Cost", "Design", "Effort", "Equations", "FrameVelocity", "HalfSpace", "Jerk",
-    "Method", "Point", "Pose", "PredictiveController", "Problem", "RealTime", "SampledStart",
-    "Sampling", "Solution", "Sphere", "StateError", "Status", "System", "Term", "TickStatus",
-    "Velocity", "methods", "mpc", "solve",
+    "Method", "Point", "Pose", "Problem", "RealTime", "SampledStart", "Sampling", "Solution",
+    "Sphere", "StateError", "Status", "System", "Term", "TickStatus", "Velocity", "methods", "mpc",
+    "solve",
 ]  # fmt: skip
 
 

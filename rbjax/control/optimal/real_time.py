@@ -15,7 +15,8 @@ import numpy as np
 
 from rbjax.arguments import instance
 from rbjax.compiling import compiler_options
-from rbjax.control.optimal.receding_horizon import PLANNED, PredictiveController
+from rbjax.control.optimal.receding_horizon import PredictiveController
+from rbjax.control.optimal.ticks import PLANNED
 from rbjax.display import displayed
 from rbjax.errors import InputError
 

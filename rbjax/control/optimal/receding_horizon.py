@@ -14,15 +14,14 @@ whose constraints are infeasible, is rejected. Then the last plan is continued f
 from __future__ import annotations
 
 import dataclasses
-import enum
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, integer, real_number
+from rbjax.arguments import choice, flag, integer, real_number
 from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.objective import ConstraintMultipliers, knot_violation, shift_multipliers
@@ -30,63 +29,21 @@ from rbjax.control.optimal.problem import NEXT, Knot, Problem, append, take
 from rbjax.control.optimal.registry import METHODS
 from rbjax.control.optimal.solution import SolveOptions, StoppingRule
 from rbjax.control.optimal.system import system_of
+from rbjax.control.optimal.ticks import (
+    FALLBACK,
+    KEPT,
+    PLANNED,
+    VIOLATED,
+    ClosedLoop,
+    Memory,
+    PlannedControl,
+)
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
-
-
-class TickStatus(enum.IntEnum):
-    """The source of the control of a tick."""
-
-    PLANNED = 0  # from the plan of this tick
-    KEPT = 1  # the plan failed; from the last plan
-    FALLBACK = 2  # from the fallback: plans failed for longer than patience
-    VIOLATED = 3  # the plan violates a constraint; raise iterations or violation
-
-
-PLANNED, KEPT, FALLBACK, VIOLATED = map(int, TickStatus)
-
-
-@displayed
-class PlannedControl(NamedTuple):
-    """The control of a future tick: u (nu,), gains K (nu, n), planned state, `TickStatus` ()."""
-
-    u: jax.Array
-    K: jax.Array
-    state: Any
-    status: jax.Array
-
-
-@displayed
-class Memory(NamedTuple):
-    """The memory of a controller between ticks: the last plan, and its gains K of du = K dx."""
-
-    knots: Knot  # (N + 1, ...)
-    ctrl: jax.Array  # (N, nu)
-    K: jax.Array  # (N, nu, n)
-    multipliers: ConstraintMultipliers | None  # from the last plan; None without constraints
-    pending: PlannedControl | None  # the controls of the ticks of delay; None without delay
-    failures: jax.Array  # (), the plans that failed in a row
-    search_status: jax.Array  # (), of the last search
-    cost: jax.Array  # (), of the plan
-    violation: jax.Array  # (), of the plan
-    gap: jax.Array | None  # (), largest between a step and the next state; None if unconstrained
-
-
-@displayed
-class ClosedLoop(NamedTuple):
-    """The record of a closed loop of T ticks."""
-
-    ts: jax.Array  # (T + 1,) s
-    states: Any  # with a leading axis T + 1
-    ctrl: jax.Array  # (T, nu)
-    statuses: jax.Array  # (T,), a `TickStatus` each
-    search_statuses: jax.Array  # (T,), a `Status` each
-    costs: jax.Array  # (T,), of the plans
-
 
 HARDEST = 1e4  # upper bound of the penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
@@ -360,8 +317,7 @@ def mpc(
             "mpc: the start, a design or the final time of the problem is free, expected a problem "
             "whose start is the state; remove free_start, design and free_time"
         )
-    if method not in METHODS:
-        raise UnknownName("method of rb.control", method, METHODS)
+    choice("method of rb.control", method, METHODS)
     if iterations is None:
         iterations = WITH_CONSTRAINTS if example.constraints else 1
     for name, value, least in (

@@ -25,7 +25,12 @@ from rbjax.model import Model
 
 @dataclass(frozen=True)
 class OperationCount:
-    """Numbers of floating-point operations. `trigonometry` counts transcendental functions."""
+    """Numbers of floating-point operations.
+
+    additions, multiplications, divisions: as traced.
+    roots: square roots.
+    trigonometry: transcendental functions.
+    """
 
     additions: int = 0
     multiplications: int = 0

@@ -1,10 +1,10 @@
 """Recordings of a robot: readers, checks, splits, filters and units."""
 
-from rbjax.sysid.data.filtering import Filtered, differentiate, low_pass
+from rbjax.sysid.data.filtering import differentiate, low_pass
 from rbjax.sysid.data.units import in_si
 
 __all__ = [
-    "Filtered", "differentiate", "in_si", "low_pass",
+    "differentiate", "in_si", "low_pass",
 ]  # fmt: skip
 
 

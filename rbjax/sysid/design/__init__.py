@@ -1,10 +1,10 @@
 """Design of experiments: excitation trajectories with the most information on the parameters."""
 
 from rbjax.sysid.design.excitation import Fourier, Motion, Spline
-from rbjax.sysid.design.experiments import Experiment, MotionLimits, design_experiment
+from rbjax.sysid.design.experiments import MotionLimits, design_experiment
 
 __all__ = [
-    "Experiment", "Fourier", "Motion", "MotionLimits", "Spline", "design_experiment",
+    "Fourier", "Motion", "MotionLimits", "Spline", "design_experiment",
 ]  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from rbjax.sysid.parameters.log_cholesky import (
 
 __all__ = [
     "from_log_cholesky", "inertial_parameters_of", "log_cholesky_parameters",
-    "log_determinant_divergence", "model_log_cholesky", "nearest_pseudo_inertia",
-    "prior_residual", "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
+    "log_determinant_divergence", "model_log_cholesky", "nearest_pseudo_inertia", "prior_residual",
+    "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
 ]  # fmt: skip
 
 

@@ -1,13 +1,12 @@
 """Statistics of residuals and Jacobians: rank, intervals, whiteness and comparisons."""
 
-from rbjax.sysid.statistics.comparisons import Comparison, HeldOut, Scored, compare, held_out
-from rbjax.sysid.statistics.intervals import Estimates, Interval, estimates
-from rbjax.sysid.statistics.rank import Combinations, combinations
-from rbjax.sysid.statistics.residual_tests import Whiteness, whiteness
+from rbjax.sysid.statistics.comparisons import Scored, compare, held_out
+from rbjax.sysid.statistics.intervals import estimates
+from rbjax.sysid.statistics.rank import combinations
+from rbjax.sysid.statistics.residual_tests import whiteness
 
 __all__ = [
-    "Combinations", "Comparison", "Estimates", "HeldOut", "Interval", "Scored", "Whiteness",
-    "combinations", "compare", "estimates", "held_out", "whiteness",
+    "Scored", "combinations", "compare", "estimates", "held_out", "whiteness",
 ]  # fmt: skip
 
 

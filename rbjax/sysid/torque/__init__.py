@@ -1,9 +1,9 @@
 """Identification from torques, which are linear in the inertial parameters."""
 
-from rbjax.sysid.torque.consistency import Consistent, consistent
-from rbjax.sysid.torque.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
+from rbjax.sysid.torque.consistency import consistent
+from rbjax.sysid.torque.encoder_zeros import regress_with_zeros, zeros_of
 from rbjax.sysid.torque.motions import random_motions
-from rbjax.sysid.torque.regression import METHODS, regress
+from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
     base_parameters,
@@ -12,15 +12,13 @@ from rbjax.sysid.torque.regressors import (
     parameter_values,
     regressor,
 )
-from rbjax.sysid.torque.rows import TorqueRows, torque_rows
-from rbjax.sysid.torque.selection import Selected, select
-from rbjax.sysid.torque.torque_equations import Equations, Regression, equations
+from rbjax.sysid.torque.rows import torque_rows
+from rbjax.sysid.torque.selection import select
 
 __all__ = [
-    "Consistent", "Equations", "JOINT_TERMS", "METHODS", "Regression", "Selected", "TorqueRows",
-    "WithZeros", "base_parameters", "consistent", "equations", "observation_matrix",
-    "parameter_names", "parameter_values", "random_motions", "regress", "regress_with_zeros",
-    "regressor", "select", "torque_rows", "zeros_of",
+    "JOINT_TERMS", "base_parameters", "consistent", "observation_matrix", "parameter_names",
+    "parameter_values", "random_motions", "regress", "regress_with_zeros", "regressor", "select",
+    "torque_rows", "zeros_of",
 ]  # fmt: skip
 
 

@@ -12,7 +12,7 @@ Instruments Z are columns without that noise, such as the columns of a simulated
 1997 (weights); Huber & Ronchetti, *Robust Statistics*, 2009, ch. 7; Janot, Vandanjon & Gautier,
 IEEE Trans. Control Systems Technology 22(1), 2014 (instruments).
 
-An estimator of `METHODS` is a function of `Equations` that returns a `Regression`.
+An estimator is a function of `Equations` that returns a `Regression`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def regress(
     tau: Any,
     names: Sequence[str],
     *,
-    method: str = "weighted",
+    method: str | Callable[..., Regression] = "weighted",
     noise: Any = None,
     base: Combinations | None = None,
     lengths: Sequence[int] | None = None,
@@ -64,7 +64,8 @@ def regress(
         W: (N, k, p) observation matrix of k channels, or (N, p) of one channel.
         tau: (N, k) or (N,) measured torques in N m or N.
         names: (p,) names of the columns.
-        method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
+        method: "ordinary", "weighted", "robust", "instrumental", or a function of `Equations`
+            (rbjax/sysid/torque/torque_equations.py) and options that returns a `Regression`.
         noise: standard deviation of tau if known, one number, (k,) or (N, k). inf: zero weight.
         base: the combinations to fit. None: the combinations that W identifies.
         lengths: number of samples of each recording in W, N in all. Noise is not correlated between
@@ -91,8 +92,10 @@ def regress(
         >>> found.beta.round(6).tolist()
         [2.0, -1.0]
     """
-    choice("regression method", method, METHODS)
-    known = inspect.signature(METHODS[method]).parameters
+    estimator = (
+        method if callable(method) else METHODS[choice("regression method", method, METHODS)]
+    )
+    known = inspect.signature(estimator).parameters
     for option in options:
         choice(f"option of method {method}", option, list(known)[1:])
     if method == "instrumental" and "instruments" not in options:
@@ -101,7 +104,7 @@ def regress(
             "or a function of the last Regression that returns it"
         )
     eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
-    return METHODS[method](eq, **options)
+    return estimator(eq, **options)
 
 
 def ordinary(eq: Equations) -> Regression:

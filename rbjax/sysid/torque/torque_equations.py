@@ -124,7 +124,7 @@ def equations(
     W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None,
     lengths: Sequence[int] | None = None,
 ) -> Equations:  # fmt: skip
-    """Check the equations W pi = tau, the input of the estimators of `METHODS`.
+    """Check the equations W pi = tau, the input of the estimators of `regress`.
 
     Args:
         W: (N, k, p), regressor of N samples.
@@ -143,7 +143,7 @@ def equations(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid.torque import equations
+        >>> from rbjax.sysid.torque.torque_equations import equations
         >>> t = np.linspace(0.0, 1.0, 20)
         >>> line = equations(np.stack([np.ones(20), t], 1), 2.0 - t, ["offset", "slope"])
         >>> line.fit(0.1).beta.round(6).tolist()

@@ -229,7 +229,7 @@ def with_trailers(
 
 @dataclass(frozen=True)
 class RobotKind:
-    """A named robot type. `make(**numbers)` builds a robot of it."""
+    """A robot type: its name, and `make(**numbers)`, which builds a robot of it."""
 
     name: str
     make: Callable[..., Robot]
