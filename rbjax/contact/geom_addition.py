@@ -12,7 +12,7 @@ import numpy as np
 
 from rbjax.arguments import choice, floating_array, instance, integer, real_array
 from rbjax.contact.geometry.candidates import PairKind
-from rbjax.contact.geometry.narrow_phase import KINDS
+from rbjax.contact.geometry.pair_filter import Collider, in_order, may_touch
 from rbjax.errors import InputError
 from rbjax.model import WORLD, Model
 from rbjax.model.geoms import LEAVES, NUMBERS, OF_EACH_GEOM, RGBA, SIZES, Geoms
@@ -34,9 +34,10 @@ def with_geom(
     The mass of the body does not change. The geom comes last in `model.geoms`.
 
     The new pairs are those of MuJoCo's rules: matching masks, not on one rigid body, not on a body
-    and its parent unless the parent is fixed. The frames of one beam do not touch each other. For
-    other pairs use `model.geoms.replace(pairs=...)`. If `model.contact` is None, it becomes
-    "mujoco", and all pairs of `model.geoms` act.
+    and its parent unless the parent is fixed, not on two bodies of an `<exclude>` of the file. The
+    frames of one beam do not touch each other. For other pairs use
+    `model.geoms.replace(pairs=...)`. If `model.contact` is None, it becomes "mujoco", and all pairs
+    of `model.geoms` act.
 
     Args:
         model: the robot.
@@ -148,21 +149,18 @@ def _new_pairs(model: Model, geoms: Geoms) -> list[tuple[int, int]]:
     """Return the pairs of the last geom with others, the geom of the earlier kind first."""
     top, last = model.topology, len(geoms.names) - 1
 
-    def parent(joint: int) -> int:
-        return _moving(top, top.body_parents[top.joint_bodies[joint]])
+    def collider(g: int) -> Collider:
+        body = geoms.bodies[g]
+        joint = _moving(top, body)
+        above = WORLD if joint == WORLD else _moving(top, top.body_parents[top.joint_bodies[joint]])
+        return Collider(
+            geoms.types[g], geoms.contype[g], geoms.conaffinity[g], body, joint,
+            None if above == WORLD else above, joint == WORLD,
+        )  # fmt: skip
 
-    def may_touch(other: int) -> bool:
-        a, b = (_moving(top, geoms.bodies[g]) for g in (other, last))
-        masks = geoms.contype[other] & geoms.conaffinity[last]
-        masks |= geoms.contype[last] & geoms.conaffinity[other]
-        related = WORLD not in (a, b) and (parent(a) == b or parent(b) == a)
-        return bool(masks) and a != b and not related
-
-    def rank(geom: int) -> tuple[int, int]:
-        return KINDS.index(geoms.types[geom]), geom
-
-    found = (sorted((g, last), key=rank) for g in range(last) if may_touch(g))
-    return [(a, b) for a, b in found]
+    new = collider(last)
+    others = [g for g in range(last) if may_touch(collider(g), new, geoms.excluded)]
+    return [in_order(geoms.types, g, last) for g in others]
 
 
 def _supported(

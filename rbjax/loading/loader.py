@@ -34,12 +34,12 @@ from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_can
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
+from rbjax.loading.mjcf.contact_pairs import excluded_bodies, kinds_of
 from rbjax.loading.mjcf.contacts import (
     check_finite,
     check_geoms,
     closed_pairs,
     contacts_left_out,
-    kinds_of,
     mixed_references,
 )
 from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, matrix_of, names_of, reflected
@@ -319,6 +319,7 @@ def geoms_of(m: mujoco.MjModel, array: Callable, kept: list[int] | None = None) 
         priority=static(m.geom_priority),
         group=static(m.geom_group),
         rgba=tuple(tuple(x.tolist()) for x in colors),
+        excluded=excluded_bodies(m),
         **pairs,
         **surface_fields(m, pairs["pairs"], array),
     )

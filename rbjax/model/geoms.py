@@ -64,6 +64,8 @@ class Geoms(Record):
         pairs: the pairs of geoms that may touch by the rules of the file; static. The first n are
             explicit: they have parameters of their own.
         pair_condim: (n) condim of the explicit pairs; static.
+        excluded: the pairs of bodies of `<exclude>`, whose geoms do not touch, the lesser index
+            first; `rb.contact.with_geom` reads it; static.
         hulls: the convex hull of each mesh that may touch a plane, else None; static.
         fields: the index in `heights` of each height field, -1 of other geoms; static.
     """
@@ -95,6 +97,7 @@ class Geoms(Record):
     rgba: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     pair_condim: tuple[int, ...] = eqx.field(static=True, default=())
+    excluded: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     hulls: tuple[Hull | None, ...] = eqx.field(static=True, default=())
     fields: tuple[int, ...] = eqx.field(static=True, default=())
 

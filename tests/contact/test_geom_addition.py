@@ -23,18 +23,19 @@ FILE = """
         <inertial pos="0 0 0" mass="0.5" diaginertia="0.1 0.1 0.1"/>{geom}</body></body></body>
   <body name="ball" pos="0.5 0 0.49"><freejoint/>
     <geom name="ball" type="sphere" size="0.1" mass="1"/></body>
-</worldbody></mujoco>"""
+</worldbody>{contact}</mujoco>"""
+EXCLUDE = '<contact><exclude body1="{one}" body2="{other}"/></contact>'
 NEW = """<geom name="pad" type="{kind}" size="0.1 0.05 0.2" pos="0 0 -0.22" quat="1 0.1 0 0"
   mass="0" friction="0.5 0.01 0.001" condim="4" solref="0.03 0.9" margin="0.01" contype="{bit}"
   conaffinity="{bit}" priority="1"/>"""
 
 
-def both(kind: str, bit: int) -> tuple[rb.Model, rb.Model]:
+def both(kind: str, bit: int, contact: str = "") -> tuple[rb.Model, rb.Model]:
     """The model with an added geom, and that of a file with the geom."""
-    want = rb.load(FILE.format(geom=NEW.format(kind=kind, bit=bit)))
+    want = rb.load(FILE.format(geom=NEW.format(kind=kind, bit=bit), contact=contact))
     last = want.geoms.names.index("pad")
     model = rb.contact.with_geom(
-        rb.load(FILE.format(geom="")), "pad", "hand", kind, want.geoms.size[last],
+        rb.load(FILE.format(geom="", contact=contact)), "pad", "hand", kind, want.geoms.size[last],
         position=(0, 0, -0.22), orientation=want.geoms.orientation[last],
         friction=(0.5, 0.01, 0.001), condim=4, solref=(0.03, 0.9), margin=0.01, contype=bit,
         conaffinity=bit, priority=1,
@@ -51,10 +52,25 @@ def test_geoms_and_pairs_are_those_of_a_file(kind: str, bit: int) -> None:
         np.testing.assert_allclose(x, y, atol=F64_TRANSFORM)
     for key in ("types", "bodies", "contype", "condim", "priority", "rgba", "group"):
         assert getattr(model.geoms, key) == tuple(getattr(want.geoms, key)[k] for k in place)
-    named = [{frozenset(x.geoms.names[g] for g in p) for p in x.geoms.pairs} for x in (model, want)]
-    assert named[0] == named[1] and len(model.geoms.pairs) == len(want.geoms.pairs)
+    assert pairs_by_name(model) == pairs_by_name(want)
+    assert len(model.geoms.pairs) == len(want.geoms.pairs)
     kinds = [tuple(model.geoms.types[g] for g in pair) for pair in model.geoms.pairs]
     assert set(kinds) <= set(rb.contact.pairs())
+
+
+@pytest.mark.parametrize(("one", "other"), [("hand", "ball"), ("ball", "hand"), ("world", "hand")])
+def test_excluded_bodies_of_the_file_do_not_touch(one: str, other: str) -> None:
+    """Also not after the model is written to a file and read back."""
+    contact = EXCLUDE.format(one=one, other=other)
+    model, want = both("sphere", 1, contact)
+    assert pairs_by_name(model) == pairs_by_name(want) < pairs_by_name(both("sphere", 1)[0])
+    read = rb.load(rb.write_mjcf(rb.load(FILE.format(geom="", contact=contact))))
+    read = rb.contact.with_geom(read, "pad", "hand", "sphere", 0.1)
+    assert pairs_by_name(read) == pairs_by_name(want)
+
+
+def pairs_by_name(model: rb.Model) -> set[frozenset[str]]:
+    return {frozenset(model.geoms.names[g] for g in pair) for pair in model.geoms.pairs}
 
 
 def test_the_acceleration_is_that_of_a_file() -> None:
@@ -103,11 +119,11 @@ WRONG = {
 def test_wrong_arguments_are_sentences(sentence: str) -> None:
     *given, attributes = WRONG[sentence]
     with pytest.raises((rb.InputError, rb.UnknownName), match=re.escape(sentence)):
-        rb.contact.with_geom(rb.load(FILE.format(geom="")), *given, **attributes)
+        rb.contact.with_geom(rb.load(FILE.format(geom="", contact="")), *given, **attributes)
 
 
 def test_a_pair_without_narrow_phase_is_left_out() -> None:
-    model = rb.load(FILE.format(geom=""))
+    model = rb.load(FILE.format(geom="", contact=""))
     with pytest.warns(UserWarning, match=r"ellipsoid 'x' has no narrow phase with \['ball'\]"):
         model = rb.contact.with_geom(model, "x", "hand", "ellipsoid", [0.1, 0.1, 0.2])
     with warnings.catch_warnings():

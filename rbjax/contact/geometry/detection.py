@@ -14,7 +14,8 @@ from rbjax.arguments import real_number, shown
 from rbjax.compiler import threads
 from rbjax.compiling import jitted
 from rbjax.contact.geometry.candidates import PairKind, pair_contacts, pairs_of_candidates
-from rbjax.contact.geometry.narrow_phase import KINDS, PAIRS
+from rbjax.contact.geometry.narrow_phase import PAIRS
+from rbjax.contact.geometry.pair_filter import in_order
 from rbjax.contact.geometry.shapes import Shape, contact_frame, geom_shape, stack_shapes
 from rbjax.contact.parameters import pair_parameters
 from rbjax.dynamics.arguments import check_arrays
@@ -204,12 +205,10 @@ def _pair_indices(where: str, model: Model, geoms: Geoms, pairs: Any) -> Pairs:
     for pair in pairs:
         if not isinstance(pair, list | tuple) or len(pair) != 2:
             raise InputError(f"{where}(pairs=...): got {shown(pair)}, expected two geoms")
-        kinds = {model.geom(x): geoms.types[model.geom(x)] for x in pair}
-        rank = {i: KINDS.index(k) if k in KINDS else len(KINDS) for i, k in kinds.items()}
-        if len(rank) != 2:
+        a, b = map(model.geom, pair)
+        if a == b:
             raise InputError(f"{where}(pairs=...): got {shown(pair)}, expected two different geoms")
-        first, second = sorted(rank, key=lambda i: (rank[i], i))
-        out.append((first, second))
+        out.append(in_order(geoms.types, a, b))
     return tuple(out)
 
 

@@ -177,7 +177,7 @@ PAIRS: dict[tuple[str, str], Pair] = {
 }
 
 #: the order of the kinds of geoms in a pair
-KINDS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+KINDS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "sdf")
 
 #: candidates of each pair
 COUNTS = dict.fromkeys(PAIRS, 1) | {

@@ -1,4 +1,4 @@
-"""Pairs of geoms that may touch, by the rules of MuJoCo."""
+"""Pairs of geoms of a file that may touch."""
 
 from __future__ import annotations
 
@@ -6,43 +6,54 @@ import itertools
 
 import mujoco
 
+from rbjax.contact.geometry.pair_filter import Collider, in_order, may_touch
+
 
 def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     """Return the pairs of geoms that may collide, the geom of the earlier type first.
 
-    The pairs of `<pair>` come first, as often as the file gives them. All other pairs need matching
-    masks. Excluded are geoms of one rigid body, of two bodies that no joint moves, such as a mocap
-    body and the world, of a body and its parent unless the parent is fixed, and the pairs of
-    `<exclude>`. (MuJoCo, *Computation*, "Collision detection".)
+    The pairs of `<pair>` come first, as often as the file gives them. The others are those that
+    `may_touch`.
     """
-    off, bit = m.opt.disableflags, mujoco.mjtDisableBit
-    if off & (bit.mjDSBL_CONTACT | bit.mjDSBL_CONSTRAINT):
+    if m.opt.disableflags & (_Off.mjDSBL_CONTACT | _Off.mjDSBL_CONSTRAINT):
         return ()
+    kinds, geoms, excluded = kinds_of(m), _colliders(m), {*excluded_bodies(m)}
     explicit = zip(m.pair_geom1.tolist(), m.pair_geom2.tolist(), strict=True)
-    named = [_in_order(m, a, b) for a, b in explicit]
-    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in m.exclude_signature}
-    body, weld = m.geom_bodyid, m.body_weldid
-    moves = m.body_treeid[body] >= 0
-    parent = weld[m.body_parentid[weld]]
-    filtered = not off & bit.mjDSBL_FILTERPARENT
-    types, affinities = m.geom_contype, m.geom_conaffinity
-
-    def may_touch(a: int, b: int) -> bool:
-        masks = types[a] & affinities[b] | types[b] & affinities[a]
-        i, j = weld[body[a]], weld[body[b]]
-        if not masks or i == j or not (moves[a] or moves[b]):
-            return False
-        if filtered and i and j and (parent[i] == j or parent[j] == i):
-            return False
-        return not excluded & {(body[a], body[b]), (body[b], body[a])}
-
-    every = itertools.combinations(range(m.ngeom), 2)
-    others = (_in_order(m, a, b) for a, b in every if may_touch(a, b))
+    named = [in_order(kinds, a, b) for a, b in explicit]
+    others = (
+        in_order(kinds, a, b)
+        for a, b in itertools.combinations(range(m.ngeom), 2)
+        if may_touch(geoms[a], geoms[b], excluded)
+    )
     known = set(named)
     return (*named, *(pair for pair in others if pair not in known))
 
 
-def _in_order(m: mujoco.MjModel, a: int, b: int) -> tuple[int, int]:
-    """Return a pair of geoms in the order of their kinds, then of their indices."""
-    kinds = m.geom_type
-    return (a, b) if (kinds[a], a) <= (kinds[b], b) else (b, a)
+def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the kind of each geom, such as "box"."""
+    return tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type)
+
+
+def excluded_bodies(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of bodies of `<exclude>`, -1 for the world, the lesser index first."""
+    pairs = ((int(s) >> 16, int(s) & 0xFFFF) for s in m.exclude_signature)
+    return tuple((min(pair) - 1, max(pair) - 1) for pair in pairs)
+
+
+_Off = mujoco.mjtDisableBit
+
+
+def _colliders(m: mujoco.MjModel) -> list[Collider]:
+    """Return the geoms as the rules read them. A mocap body is an assembly that no joint moves."""
+    body, assembly = m.geom_bodyid, m.body_weldid
+    filtered = not m.opt.disableflags & _Off.mjDSBL_FILTERPARENT
+    above = assembly[m.body_parentid[assembly]]
+    columns = (
+        m.geom_contype, m.geom_conaffinity, body - 1, assembly[body], above[body],
+        m.body_treeid[body] < 0,
+    )  # fmt: skip
+    rows = zip(kinds_of(m), *(x.tolist() for x in columns), strict=True)
+    return [
+        Collider(*first, parent if parent and filtered else None, fixed)
+        for *first, parent, fixed in rows
+    ]

@@ -11,7 +11,7 @@ import numpy as np
 from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.errors import ModelError, listed
 from rbjax.loading.mjcf.constraints import loaded_equalities
-from rbjax.loading.mjcf.contact_pairs import contact_pairs
+from rbjax.loading.mjcf.contact_pairs import contact_pairs, kinds_of
 from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.mjcf.solver_parameters import solver_parameters
 from rbjax.loading.mjcf.tendons import limited_tendons, rubbing_tendons
@@ -40,11 +40,6 @@ _OPTIONS = {
     }.items()
     if hasattr(mujoco.mjtEnableBit, name)
 }
-
-
-def kinds_of(m: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the kind of each geom, such as "box"."""
-    return tuple(mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type)
 
 
 def closed_pairs(m: mujoco.MjModel) -> list[int]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from rbjax.contact.geometry.narrow_phase import PAIRS
 from rbjax.forces import JointFriction
-from rbjax.loading.mjcf.contact_pairs import contact_pairs
-from rbjax.loading.mjcf.contacts import kinds_of
+from rbjax.loading.mjcf.contact_pairs import contact_pairs, kinds_of
 from rbjax.loading.mjcf.fields import names_of
 from rbjax.loading.write.draft import Draft, text, unique
 from rbjax.model import WORLD, Model
@@ -100,7 +99,7 @@ def write_solver(draft: Draft) -> None:
 
 
 def write_pairs(draft: Draft, compiled: mujoco.MjModel) -> None:
-    """Write the explicit pairs, and exclude pairs that MuJoCo forms and the model does not have.
+    """Write the explicit pairs, and exclude bodies whose pairs the model does not have.
 
     compiled: the file without its pairs.
     """
@@ -123,15 +122,15 @@ def write_pairs(draft: Draft, compiled: mujoco.MjModel) -> None:
     kept = {frozenset(pair) for pair in wanted}
     if found and not kept:
         _flag(draft, "contact")
-        return
-    if kept - found - {frozenset(known[i] for i in x) for x in explicit if set(x) <= set(known)}:
+        found = set()
+    elif kept - found - {frozenset(known[i] for i in x) for x in explicit if set(x) <= set(known)}:
         _flag(draft, "filterparent")
         copied = mujoco.MjModel.from_xml_string(ET.tostring(draft.root, encoding="unicode"))
         found = pairs_by_name(copied, closed=model.contact is not None)
     bodies = {known[i]: geoms.bodies[i] for i in known}
     held = {frozenset(bodies[name] for name in pair) for pair in kept}
-    excluded = dict.fromkeys(frozenset(bodies[name] for name in pair) for pair in found - kept)
-    for pair in excluded:
+    excluded = [*geoms.excluded, *([bodies[name] for name in pair] for pair in found - kept)]
+    for pair in dict.fromkeys(map(frozenset, excluded)):
         if pair not in held:
             names = [_body(draft, b) for b in (*pair, *pair)][:2]
             ET.SubElement(section, "exclude", body1=names[0], body2=names[1])
