@@ -245,16 +245,20 @@ def emitted(g, layouts, batch, summed=(), last=False) -> tuple[Kernel, list]:
                   for lay, a in zip(outs, avals, strict=True)]  # fmt: skip
 
 
-def test_rows_are_staged_where_they_are_neither_short_nor_long():
-    def g(x, y, z, w):
-        return [x.sum() + z.sum() + y * w]
+def test_rows_are_staged_where_they_are_neither_short_nor_long_and_are_read():
+    def g(x, y, z, w, unread):
+        return [x.sum() + z.sum() + y * w, 2 * y]
 
-    layouts = [BatchLayout((200, n), (0,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
+    shared = BatchLayout((20,), (None,))
+    layouts = [*(BatchLayout((200, n), (0,)) for n in (8, 20, 129)), shared]
+    layouts.append(BatchLayout((200, 30), (0,)))
     source = emitted(g, layouts, (200,))[0].source
     assert re.findall(r"load_rows<double,(\d+),(\d+)>", source) == [("20", "21")]
     assert source.count("__shared__ double all_s1[") == 1
-    assert re.findall(r"store_rows<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
-    batch_last = [BatchLayout((n, 200), (1,)) for n in (8, 20, 129)] + [BatchLayout((20,), (None,))]
+    assert re.findall(r"store_rows<double,(\d+),(\d+)>\(v[01]", source) == [("20", "21")] * 2
+    assert source.count("__shared__ uint4") == 1  # one tile for both results
+    batch_last = [*(BatchLayout((n, 200), (1,)) for n in (8, 20, 129)), shared]
+    batch_last.append(BatchLayout((30, 200), (1,)))
     source = emitted(g, batch_last, (200,), last=True)[0].source
     assert not re.search(r"(fetch|leave|flush)<double", source)
 

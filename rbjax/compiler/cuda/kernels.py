@@ -127,13 +127,15 @@ def _pitch(row: int) -> int:
 
 
 def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
-    """Allocate shared memory to results staged as a whole, to the tile, and then to operands.
+    """Allocate shared memory to results staged as a whole, to the tile, and then to the operands
+    that are read. Rows that are written at once and in order go through the tile, which they share.
     While the results do not fit, the largest one goes through the tile instead.
 
     left: bytes for a thread."""
     kinds = {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)
-    short = [key for key, row in rows.items() if stores.is_staged(row)]
+    at_once = stores.written_at_once(program, rows)
+    short = [key for key, row in rows.items() if stores.is_staged(row) and key not in at_once]
     whole = {key: stores.whole_rows(kinds[key], rows[key]) for key in short}
     while True:
         tiled, spots = stores.assign_tile(
@@ -146,10 +148,10 @@ def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
         del whole[max(whole, key=lambda k: whole[k].bytes)]
     if total > left:
         tiled, spots, tile, total = {}, {}, 0, 0
-    wanted = {}
+    wanted, read = {}, stores.read_arrays(program)
     for array, layout in zip(program.operands, program.layouts[0], strict=True):
         row = layout.rows(program.batch)
-        if row is not None and stores.is_staged(row):
+        if row is not None and stores.is_staged(row) and array.id in read:
             wanted[array.id] = row, _pitch(row) * array.dtype.itemsize
     staged = {}
     for key, (row, bytes) in sorted(wanted.items(), key=lambda x: x[1][1]):

@@ -9,6 +9,7 @@ rows, runs of consecutive stores go through the tile, from any start.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -164,26 +165,47 @@ def assign_tile(
     rows: entries of a row of each candidate result. A result is stored through the tile only if no
         thread reads it and all threads reach its stores.
     """
-    statements = [s for s in ir.walk(program.builder.block) if isinstance(s, (ir.Load, ir.Store))]
-    read = {s.array.id for s in statements if isinstance(s, ir.Load)}
-    rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
-    written = [s for s in statements if s.array.id in rows]
+    runs, whole = _runs(program, rows)
     alike, found = _uniform_indices(program), {}
     spots: dict[int, TileSlot] = {}
-    for run in _consecutive_stores(program.builder.block, rows):
+    for run in runs:
         array, row = run[0].array, rows[run[0].array.id]
-        whole_rows = (
-            len(run) == row == sum(s.array is array for s in written) and run[0].base is None
-        )
-        if not whole_rows and (len(run) < min(row, RUN) or run[0].base not in alike):
+        at_once = array.id in whole
+        if not at_once and (len(run) < min(row, RUN) or run[0].base not in alike):
             continue
-        form = chunked_rows(array.dtype, row) if whole_rows else rows_of_runs(array.dtype, row)
+        form = chunked_rows(array.dtype, row) if at_once else rows_of_runs(array.dtype, row)
         found[array.id] = form
         for k, store in enumerate(run):
             at, upto = k % form.width, store.offset + 1
             last = at == form.width - 1 or k == len(run) - 1
             spots[id(store)] = TileSlot(form.margin + at, store.offset - at, upto, last)
     return found, spots
+
+
+def written_at_once(program: Written, rows: dict[int, int]) -> set[int]:
+    """Return the ids of the results of `rows` whose entries are written once, in order, without a
+    store to another result between them, and not read."""
+    return _runs(program, rows)[1]
+
+
+def _runs(program: Written, rows: dict[int, int]) -> tuple[list[list[ir.Store]], set[int]]:
+    """Return the runs of stores to results of `rows` that no thread reads, and the ids of the
+    results that one run writes."""
+    read = read_arrays(program)
+    rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
+    runs = list(_consecutive_stores(program.builder.block, rows))
+    stores = [s for s in ir.walk(program.builder.block) if isinstance(s, ir.Store)]
+    counts = Counter(s.array.id for s in stores)
+    whole = {
+        run[0].array.id for run in runs
+        if len(run) == rows[run[0].array.id] == counts[run[0].array.id] and run[0].base is None
+    }  # fmt: skip
+    return runs, whole
+
+
+def read_arrays(program: Written) -> set[int]:
+    """Return the ids of the arrays from which a program loads."""
+    return {s.array.id for s in ir.walk(program.builder.block) if isinstance(s, ir.Load)}
 
 
 def _uniform_indices(program: Written) -> set[ir.Var | None]:
