@@ -230,10 +230,6 @@ class CoordinateMotion(JointMotion):
     def coordinate_of(self) -> Flexible:
         return self.joint
 
-    @property
-    def is_first(self) -> bool:
-        return self.k == 0
-
     def own_momentum(self, V: Motion) -> tuple[RigidInertia, Force]:
         own = self.link_inertia(Vec3.zero())
         if own is None:

@@ -55,10 +55,6 @@ class FrameMotion(NodeMotion):
     def frame_axes(self) -> tuple[Motion, ...]:
         return self.axes
 
-    @property
-    def is_first(self) -> bool:
-        return False
-
     def inertia(self, dof: Placed) -> RigidInertia:
         return dof.inertia + self.own
 

@@ -78,11 +78,6 @@ class JointMotion:
         """The flexible link of which the dof is a coordinate, or None."""
         return None
 
-    @property
-    def is_first(self) -> bool:
-        """False for a frame of a flexible link, and for its coordinates after the first."""
-        return True
-
     def accelerate(self, qdd: Lane, block: Block) -> tuple[Motion, Block]:
         """Compute the acceleration of the frame relative to its parent from joint accelerations.
 

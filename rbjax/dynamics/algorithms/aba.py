@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.arguments import ArrayLike
@@ -53,7 +54,11 @@ from rbjax.dynamics.algorithms.rnea import (
     rnea,
     wrenches_to_links,
 )
-from rbjax.dynamics.algorithms.virtual_power import with_gradient_of_power
+from rbjax.dynamics.algorithms.virtual_power import (
+    links_in_motion,
+    motions_of,
+    with_gradient_of_power,
+)
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import (
@@ -178,13 +183,11 @@ def aba(
     ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
     def accelerate(x, parent):
-        (factor, u, c), *joint = x
+        factor, u, c = x
         a, qdd, block = factor.outward(u, factor.X(parent[0]) + c, parent[1])
-        own = [tuple(a) if j.is_first else (0.0,) * 6 for j in joint]
-        return (a, block), (qdd, factor, *own)
+        return (a, block), (qdd, factor, tuple(a)) if twists else (qdd, factor)
 
-    root = Motion(Vec3.zero(), -gravity), ()
-    found = d.outward(accelerate, root, d.zip(ys, joints) if twists else d.zip(ys))
+    found = d.outward(accelerate, (Motion(Vec3.zero(), -gravity), ()), ys)
     return d.unzip(found, 2 + twists)
 
 
@@ -229,11 +232,12 @@ def factorize(
     return d.inward(inward, (zero, ()), d.zip(d.constants, joints, extra, inertia, *known))
 
 
-def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: LinkForces | None = None) -> Any:
+def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: Any = None) -> Any:
     """Compute M^-1 (tau - sum of J_i^T p_i) from the factors: ABA without velocities and gravity.
 
     again: an optional second copy of the factors for the outward sweep, to save registers.
-    p: bias forces of the links, in their axes; None for zero. Its cotangents are their twists.
+    p: lanes of the bias forces (6), in the axes of the links, per link; None for zero. Their
+        cotangents are the twists of the links.
     """
     ys = eliminated(d, factors, tau, p)
     if again is not None:
@@ -241,19 +245,20 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: LinkForces | 
     return accelerated(d, ys)
 
 
-def eliminated(d: Driver, factors: Any, tau: Any, p: LinkForces | None = None) -> Any:
+def eliminated(d: Driver, factors: Any, tau: Any, p: Any = None) -> Any:
     """Run the inward sweep of `solve`. Return (factor, u) per link.
 
     u is the joint force that remains after the elimination of the subtree of the link.
-    p: bias forces of the links, in their axes; None for zero.
+    p: lanes of the bias forces (6), in the axes of the links, per link; None for zero.
     """
 
     def inward(x, children):
-        factor, tau, p = x
-        u, p_a, block = factor.inward(tau, p + children[0], children[1], Force.zero())
+        factor, tau, *p = x
+        own = sum(map(Force.from_lanes, p), children[0])
+        u, p_a, block = factor.inward(tau, own, children[1], Force.zero())
         return (factor.X.T(p_a), block), (factor, u)
 
-    return d.inward(inward, NO_FORCE, d.zip(factors, tau, per_link(d, p)))
+    return d.inward(inward, NO_FORCE, d.zip(factors, tau, *(() if p is None else (p,))))
 
 
 def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
@@ -310,6 +315,7 @@ def acceleration(
     given, rebuilt = split_tracers((model, f_ext))
     top = model.topology
     in_series = any(parent >= top.nv for parent in top.parents)  # a flexible link carries a link
+    moving = np.array(links_in_motion(top))
 
     def plain(*at):
         changed, q, v, tau = at
@@ -324,11 +330,11 @@ def acceleration(
         joints, forces = d.joints(q, v), d.lanes(tau)
         qdd, factors, *links = aba(d, joints, forces, d.prepared.gravity, f_ext, twists=in_series)
         a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
-        rows = [jnp.stack([d.pack(x, tau) for x in d.unzip(y, 6)]) for y in links]
+        rows = [jnp.stack([d.pack(x, tau)[moving] for x in d.unzip(y, 6)]) for y in links]
         rows = [checkpoint_name(x, "acceleration") for x in rows]
 
         def solution(change: list[jax.Array]) -> jax.Array:
-            p = Force.from_lanes(change[1]) if rows else None
+            p = motions_of(d, change[1]) if rows else None
             return d.pack(solve(d, factors, d.lanes(change[0]), p=p), tau)
 
         return (a,), [solution], *rows

@@ -27,9 +27,10 @@ from rbjax.compiler.jax.programs import Program, traced
 from rbjax.dynamics.algorithms.kinematics import LinkForces, per_link, velocity_bias
 from rbjax.dynamics.drivers.choice import Driver, driver
 from rbjax.dynamics.tracing.custom_rules import jax_arrays, split_tracers
+from rbjax.joints.flexible import CoordinateDof
 from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, Vec3, add, inner, is_literal, mul
-from rbjax.model import Model
+from rbjax.model import Model, Topology
 from rbjax.spatial import Motion
 
 
@@ -56,8 +57,8 @@ def virtual_power(
     """Compute the virtual power of the forces of `rnea`.
 
     joints: `d.joints(q, v, a, l)`. accelerations, rates: of joints, and virtual, per link.
-    known: lanes of the acceleration and of the virtual twist of the links, each (6), per link. They
-        replace the values of the sweep, but not its derivatives.
+    known: `motions_of` the accelerations and of the virtual twists. They replace the values of the
+        sweep, but not its derivatives.
     """
 
     def outward(x: Any, parent: VirtualStep) -> tuple[VirtualStep, Lane]:
@@ -67,7 +68,7 @@ def virtual_power(
         relative, block = joint.accelerate(qdd, parent.accelerations)
         turn, rates = joint.virtual(rate, parent.rates)
         a, V = X(parent.a) + bias + relative, X(parent.V) + turn
-        if known and joint.is_first:
+        if known:
             a, V = replaced(a, known[0]), replaced(V, known[1])
         inertia = joint.inertia(link)
         f = inertia(a) + inertia.bias_force(w) - f_ext
@@ -86,8 +87,22 @@ def virtual_power(
     return d.total(d.outward(outward, root, xs))
 
 
+def links_in_motion(top: Topology) -> list[int]:
+    """Return the links with a motion of their own: the dofs, without the coordinates of flexible
+    links after the first."""
+    kinds = [dof.kind for dof in top.dofs]
+    return [i for i, x in enumerate(kinds) if not (isinstance(x, CoordinateDof) and x.k)]
+
+
+def motions_of(d: Driver, rows: jax.Array) -> Any:
+    """Return rows (6, links) of `links_in_motion` as six lanes per link. Other links get zeros."""
+    links = links_in_motion(d.topology)
+    return d.zip(*(d.lanes(x, links) for x in rows))
+
+
 def replaced(own: Motion, known: Any) -> Motion:
-    """Return the lanes of `known` with the derivatives of `own`. Constants of `own` remain."""
+    """Return the lanes of `known` with the derivatives of `own`. Lanes stay that are constants, or
+    that `known` has not."""
 
     def lane(x: Lane, y: Lane) -> Lane:
         return x if is_literal(x) or is_literal(y) else _with_derivative_of(x, y)
@@ -117,8 +132,8 @@ def with_gradient_of_power(
     """Compute the generalized forces (nv,) of `rnea`, with the gradient of the virtual power as
     reverse derivative.
 
-    links: accelerations (6, nv) of the links from ABA. The second result is then zero (6, nv). Its
-        cotangents are the virtual twists of the links.
+    links: accelerations (6, links) of `links_in_motion` from ABA. The second result is then zero,
+        of the same shape. Its cotangents are the virtual twists of these links.
     """
     given, rebuilt = split_tracers((model, f_ext))
     known = () if links is None else (links,)
@@ -144,7 +159,7 @@ def with_gradient_of_power(
             joints, lanes = d.joints(q, v, a, rates), (d.lanes(a), d.lanes(rates))
             motions = None
             if known and twists[0] is not None:
-                motions = [d.zip(*map(d.lanes, x)) for x in (*known, *twists)]
+                motions = [motions_of(d, x) for x in (*known, *twists)]
             return virtual_power(d, joints, *lanes, d.prepared.gravity, f_ext, motions)
 
         value, back = jax.vjp(power, *itertools.compress(args, moving))

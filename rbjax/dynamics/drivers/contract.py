@@ -48,8 +48,9 @@ class Driver(abc.ABC):
         """
 
     @abc.abstractmethod
-    def lanes(self, x: jax.Array | None) -> PerLink:
-        """Convert an array (nv, ...) to one lane for each link. None means zeros."""
+    def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> PerLink:
+        """Convert an array (nv, ...) to one lane for each link. None means zeros.
+        links: the links of the rows of x, by default those with a coordinate. Others get zero."""
 
     @abc.abstractmethod
     def scattered(self, values: Mapping[int, Any], zero: Any) -> PerLink:

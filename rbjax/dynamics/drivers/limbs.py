@@ -154,13 +154,13 @@ class Limbs(unrolled.ListDriver):
         out = self._parts(trunk, limbs, self.constants)
         return Parts(fusion_barrier(out.trunk), out.rest)
 
-    def lanes(self, x: jax.Array | None) -> Parts:
-        if x is None:
-            return self._parts(lambda i: 0.0, lambda links: 0.0)
-        n = self.topology.nv  # the frames follow
+    def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> Parts:
+        given = range(self.topology.nv) if links is None else links
+        place = {} if x is None else {link: k for k, link in enumerate(given)}
+        rows: Any = x
         return self._parts(
-            lambda i: x[i] if i < n else 0.0,
-            lambda links: rows_of(x, links) if links[0] < n else 0.0,
+            lambda i: rows[place[i]] if i in place else 0.0,
+            lambda at: rows_of(x, [place[i] for i in at]) if at[0] in place else 0.0,
         )
 
     def total(self, values: Parts) -> Lane:

@@ -85,9 +85,11 @@ class Rolled(Driver):
 
         return Parts(head, JointColumns(posed, columns))
 
-    def lanes(self, x: jax.Array | None) -> Parts:
+    def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> Parts:
         if x is None:
             return Parts([0.0] * self.head, 0.0)
+        if links is not None:
+            return self.scattered(dict(zip(links, x, strict=True)), 0.0)
         return Parts([x[i] for i in range(self.head)], x[self.head :])
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:

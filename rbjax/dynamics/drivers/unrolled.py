@@ -57,9 +57,9 @@ class Unrolled(ListDriver):
             out += frame_motions(top.links[i], self.constants[i], qs, vs, *rates)
         return fusion_barrier(out)
 
-    def lanes(self, x: jax.Array | None) -> list[Lane]:
-        own = [0.0] * self.topology.nv if x is None else list(unpack(x))
-        return own + [0.0] * len(self.topology.frames)
+    def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> list[Lane]:
+        given = range(self.topology.nv) if links is None else links
+        return self.scattered({} if x is None else dict(zip(given, unpack(x), strict=True)), 0.0)
 
     def total(self, values: list[Lane]) -> Lane:
         return total(values)
