@@ -4,7 +4,7 @@
 too. All programs are compiled first, several at a time.
 
 n = 12 states and m = 6 controls, horizons of 16 to 4,096 steps, 1 and 64 problems. Serial: a thread
-a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA, by
+a problem (`rb.threads`), and a scan under XLA. Parallel: `backward(parallel=True)`, under XLA, by
 doubling.
 Each result is compared with that of the thread; `difference` is the largest of K, k, P and p,
 relative to the largest entry of each. Times are the least of several, in ms a batch.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import functools
 import itertools
 import json
 import os
@@ -27,7 +28,7 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control.linear import LinearQuadratic, backward, parallel_backward
+from rbjax.control.linear import LinearQuadratic, backward
 from rbjax.control.linear.riccati import Gains
 
 COLUMNS = ("precision", "batch", "horizon", "method", "compile_s", "ms", "us a step", "difference")
@@ -52,7 +53,7 @@ def problems(batch: int, horizon: int, dtype: Any) -> LinearQuadratic:
 METHODS: dict[str, Callable] = {
     "serial, thread": jax.jit(jax.vmap(rb.threads(backward))),
     "serial, XLA": jax.jit(jax.vmap(backward)),
-    "parallel, doubling": jax.jit(jax.vmap(parallel_backward)),
+    "parallel, doubling": jax.jit(jax.vmap(functools.partial(backward, parallel=True))),
 }
 
 

@@ -1,4 +1,4 @@
-"""Matrix products in full precision; by default a GPU multiplies f32 matrices in TF32."""
+"""Matrix products in full precision, where a GPU takes TF32 by default, and Cholesky factors."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
 
 product = functools.partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
 """A B, or A x."""
@@ -23,3 +24,21 @@ def in_registers(A: jax.Array) -> jax.Array:
         return A
     rows = lambda A: jnp.stack([A[i] for i in range(A.shape[0])])  # noqa: E731
     return jax.lax.platform_dependent(A, cuda=rows, default=lambda A: A)
+
+
+@jax.custom_jvp
+def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return L of H = L L' and whether H is positive definite; if not, L is the identity matrix."""
+    L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
+    ok = jnp.isfinite(L).all()
+    return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok
+
+
+@definite_factor.defjvp
+def _definite_factor_jvp(primals, tangents):
+    (H,), (dH,) = primals, tangents
+    L, ok = definite_factor(H)
+    half = solve_triangular(L, (dH + dH.T) / 2, lower=True)
+    W = solve_triangular(L, half.T, lower=True)
+    dL = product(L, jnp.tril(W) - jnp.diag(jnp.diag(W)) / 2)
+    return (L, ok), (jnp.where(ok, dL, 0.0), jnp.zeros(ok.shape, jax.dtypes.float0))

@@ -1,5 +1,6 @@
 """Parts of control by closed forms of a few numbers."""
 
+import functools
 from fractions import Fraction
 
 import jax
@@ -54,10 +55,11 @@ def test_joined_stretches_have_the_sum_of_their_costs():
     np.testing.assert_allclose(found.J, due, rtol=1e-12)
 
 
-@pytest.mark.parametrize("gains_of", [control.linear.backward, control.linear.parallel_backward])
-def test_gains_of_one_step(gains_of):
+@pytest.mark.parametrize("parallel", [False, True])
+def test_gains_of_one_step(parallel):
     """K = (R + B'PB)^-1 B'PA with P = Q at the end; P = Q + A'PA - K'(R + B'PB) K before."""
-    found = jax.jit(gains_of)(control.linear.constant_problem(A, B, Q, R, 1))
+    problem = control.linear.LinearQuadratic.constant(A, B, Q, R, 1)
+    found = jax.jit(functools.partial(control.linear.backward, parallel=parallel))(problem)
     H, G = R + B.T @ Q @ B, B.T @ Q @ A
     np.testing.assert_allclose(found.K[0], np.linalg.solve(H, G), rtol=1e-12)
     np.testing.assert_allclose(found.P[1], Q, rtol=1e-15)

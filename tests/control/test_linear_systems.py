@@ -18,7 +18,6 @@ from rbjax.control.linear import (
     margins,
     observability,
     poles,
-    unreachable_directions,
 )
 from rbjax.errors import InputError
 from tests.composing import check_composes
@@ -56,12 +55,12 @@ def test_missing_directions_have_names():
     model = rb.load("cart_pole")
     A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
     whole = controllability(A, B)
-    assert whole.rank == 4 and unreachable_directions(model, whole) == []
+    assert whole.rank == 4 and whole.missing(model) == []
     hinge = model.v_slice("hinge").start
     seen = observability(A, np.eye(4)[[hinge]])  # the pole's angle: not where the cart is
-    assert unreachable_directions(model, seen) == ["1.00 position of slider"]
+    assert seen.missing(model) == ["1.00 position of slider"]
     with pytest.raises(InputError, match="expected"):
-        unreachable_directions(model, controllability(jnp.eye(2), jnp.eye(2)))
+        controllability(jnp.eye(2), jnp.eye(2)).missing(model)
 
 
 def test_gramians_beside_quadrature():

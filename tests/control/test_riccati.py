@@ -1,19 +1,22 @@
 """The finite horizon beside a dense linear system, closed forms, and derivatives."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.control.linear import backward, constant_problem, parallel_backward, roll
+from rbjax.control.linear import LinearQuadratic, backward
 from tests.composing import check_composes
 from tests.control.problems import random_problem
 from tests.oracles import load
 from tests.tolerances import F32_MEDIAN, relative_error
 
 ORACLE = load("linear_quadratic")
-serial, parallel, rolled = map(jax.jit, (backward, parallel_backward, roll))
+in_time = functools.partial(backward, parallel=True)
+serial, parallel, rolled = map(jax.jit, (backward, in_time, LinearQuadratic.roll))
 
 
 def quadratic_cost(z, x, u):
@@ -75,7 +78,7 @@ def test_the_finite_horizon_in_forty_digits():
     o = ORACLE["lqr_discrete"]
     A, B, Q, R, end = (jnp.asarray(o[k], float) for k in ("A", "B", "Q", "R", "P_N"))
     R = R.reshape(1, 1)
-    z = constant_problem(A, B, Q, R, o["N"], end)
+    z = LinearQuadratic.constant(A, B, Q, R, o["N"], end)
     found = backward(z)
     assert relative_error(found.P[0], o["P_0"]) < 1e-13
     for k in (0, 25, 49):

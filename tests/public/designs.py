@@ -39,21 +39,21 @@ START = RNG.normal(size=(3, 3))
 
 
 def steady(A, B, Q, R):
-    return linear.constant_problem(A, B, Q, R, 4)
+    return linear.LinearQuadratic.constant(A, B, Q, R, 4)
 
 
 def rolled(A, B, Q, R, x):
     problem = steady(A, B, Q, R)
-    return linear.roll(problem, linear.backward(problem), x)
+    return problem.roll(linear.backward(problem), x)
 
 
 LQ = [0.2 * STABLE, INPUT, WEIGHT, SMALL_WEIGHT]
 CONTROL = {
     "lqr": Case(same(lambda *x: control.lqr(*x)[:2]), [STABLE, *LQ[1:]]),
     "backward": Case(same(lambda *x: linear.backward(steady(*x))[:4]), LQ),
-    "constant_problem": Case(same(lambda *x: steady(*x)), LQ),
-    "parallel_backward": Case(same(lambda *x: linear.parallel_backward(steady(*x))[:4]), LQ),
-    "roll": Case(same(rolled), [*LQ, START]),
+    "LinearQuadratic.constant": Case(same(lambda *x: steady(*x)), LQ),
+    "backward, parallel": Case(same(lambda *x: linear.backward(steady(*x), parallel=True)[:4]), LQ),
+    "LinearQuadratic.roll": Case(same(rolled), [*LQ, START]),
     "lyapunov": Case(same(lambda A, Q: linear.lyapunov(A, Q).X), [STABLE, WEIGHT]),
     "discretise": Case(same(lambda A, B: linear.discretise(A, B, 0.1)), [STABLE, INPUT]),
     "kalman_gain": Case(

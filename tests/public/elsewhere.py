@@ -28,7 +28,7 @@ ELSEWHERE: dict[str, set[str]] = {
     "kinematics": {"inverse_kinematics"},
     "control": {"inverse_kinematics", "methods", "mpc", "region_of_attraction"},
     "control.laws": {"region_of_attraction"},
-    "control.linear": {"unreachable_directions"},
+    "control.linear": set(),
     "control.optimal": {"methods", "mpc"},
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",

@@ -117,11 +117,6 @@ CASES = {
         "bounds": [{"c": (0, 1)}, 5, "x", {"a": 5}, {"a": (1, 0)}],
         "dof": ["x", 0, NAN],
     }),
-    "equations": ({"W": J, "tau": R, "names": ["a", "b"]}, {
-        "W": [*NUMBER, J * NAN, J * 1j, J[:3], J[0]], "tau": ["x", None, R[:3], R * NAN],
-        "names": [5, None, ["a"], ["a", "a"]], "noise": ["x", 0, -1, NAN, np.ones(3), np.inf],
-        "base": [5, "x"], "lengths": [5, [3], ["x"], [0, 20], [10.0, 10.0]],
-    }),
     "differentiate": ({"t": T, "x": T, "cutoff": 10.0}, {
         "t": ["x", None, T[::-1], T * NAN, T[:3]], "x": ["x", None, T[:3], T * NAN],
         "cutoff": ["x", 0, -1, NAN, 1e6, None], "order": [0, "x", 1.5],
@@ -231,7 +226,12 @@ CASES |= {
     "estimates of residuals": (CASES["estimates"][0] | {"noise": None, "residual": R}, {
         "residual": [None, "x", R[:3], R * NAN, R[:, None]],
     }),
-    "regress": (REGRESSION, CASES["equations"][1] | {"method": ["magic", "instrumental"]}),
+    "regress": (REGRESSION, {
+        "method": ["magic", "instrumental"],
+        "W": [*NUMBER, J * NAN, J * 1j, J[:3], J[0]], "tau": ["x", None, R[:3], R * NAN],
+        "names": [5, None, ["a"], ["a", "a"]], "noise": ["x", 0, -1, NAN, np.ones(3), np.inf],
+        "base": [5, "x"], "lengths": [5, [3], ["x"], [0, 20], [10.0, 10.0]],
+    }),
     "regress robust": (REGRESSION | {"method": "robust"}, {
         "loss": ["l1"], "max_steps": [0, 1.5], "steps": [5],
     }),

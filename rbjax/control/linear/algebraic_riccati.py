@@ -31,8 +31,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.compiling import compiled
 from rbjax.control.linear.lyapunov_equation import is_stable, solve_stable
-from rbjax.control.linear.riccati import definite_factor
-from rbjax.control.products import product
+from rbjax.control.products import definite_factor, product
 from rbjax.control.status import LinearStatus, first_of
 from rbjax.display import displayed
 

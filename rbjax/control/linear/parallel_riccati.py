@@ -10,23 +10,24 @@ Two adjacent segments combine, with M = (1 + C1 J2)^-1, as
     J = F1'J2 M F1 + J1,   e = F1'(e2 - J2 M (b1 + C1 e2)) + e1
 
 This product is associative, so doubling gives the segments from every knot to the end in log2 N
-sequential steps. Their J and -e are P and p of `riccati.backward`. R must be positive
-definite. Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and
-linear quadratic control*, IEEE TAC 68(2), 2023.
+sequential steps. Their J and -e are P and p of `riccati.backward`. R must be positive definite.
+Source: Särkkä & García-Fernández, *Temporal parallelization of dynamic programming and linear
+quadratic control*, IEEE TAC 68(2), 2023; Hillis & Steele, CACM 29(12), 1986 (doubling).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_solve, solve_triangular
+from jax.scipy.linalg import solve_triangular
 
-from rbjax.arguments import instance
-from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, definite_factor
-from rbjax.control.products import product
+from rbjax.control.products import definite_factor, product
 from rbjax.lanes.arrays import matrix_transpose, matvec
+
+if TYPE_CHECKING:
+    from rbjax.control.linear.riccati import LinearQuadratic
 
 
 class Stretch(NamedTuple):
@@ -103,46 +104,12 @@ def join_tails(each: Stretch) -> Stretch:
     return jax.lax.fori_loop(0, (count - 1).bit_length(), turn, each)
 
 
-def parallel_backward(problem: LinearQuadratic) -> Gains:
-    """Compute the gains of `backward` by log2 N sequential batched products instead of N.
-
-    Args:
-        problem: one sample, with R positive definite.
-
-    Returns:
-        `Gains`; du = -K dx - k. Without success K and k are 0, and entries of P and p that are not
-        finite are 0.
-
-    Raises:
-        InputError: not a `LinearQuadratic`.
-
-    It needs 3 log2 N times the arithmetic of `backward`. Use it if the device is not fully used.
-
-    Source: Särkkä & García-Fernández 2023; Hillis & Steele, CACM 29(12), 1986 (doubling).
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import constant_problem, parallel_backward
-        >>> one = jnp.eye(1)
-        >>> gains = parallel_backward(constant_problem(one, one, one, one, 20))
-        >>> round(float(gains.K[0, 0, 0]), 6)
-        0.618034
-    """
-    instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
-    all_steps, ok = stretches(problem)
-    to_end = join_tails(all_steps)
+def costs_to_go(problem: LinearQuadratic) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return P (N + 1, n, n) and p (N + 1, n) of all knots, and whether the weights R are positive
+    definite and all results finite; others are 0."""
+    steps, ok = stretches(problem)
+    to_end = join_tails(steps)
     P, p = to_end.J, -to_end.e
     ok &= jnp.isfinite(P).all() & jnp.isfinite(p).all()
     P, p = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (P, p))
-
-    def gain(A, B, d, R, r, S, P, p):
-        H = R + product(B.T, product(P, B))
-        L, good = definite_factor((H + H.T) / 2)
-        G = S.T + product(B.T, product(P, A))
-        g = r + product(B.T, p + product(P, d))
-        return cho_solve((L, True), G), cho_solve((L, True), g), good
-
-    z = problem
-    K, k, good = jax.vmap(gain)(z.A, z.B, z.d, z.R, z.r, z.S, P[1:], p[1:])
-    ok &= good.all() & jnp.isfinite(K).all() & jnp.isfinite(k).all()
-    return Gains(jnp.where(ok, K, 0.0), jnp.where(ok, k, 0.0), P, p, ok)
+    return P, p, ok

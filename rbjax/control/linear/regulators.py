@@ -21,8 +21,7 @@ from rbjax.arguments import flag
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.linear.algebraic_riccati import Regulator, riccati
 from rbjax.control.linear.arguments import check_matrices, check_regulator, weight_matrix
-from rbjax.control.linear.riccati import definite_factor
-from rbjax.control.products import product
+from rbjax.control.products import definite_factor, product
 from rbjax.control.status import LinearStatus, raise_failure
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_arrays, check_model

@@ -21,13 +21,12 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 
-from rbjax.arguments import instance, integer
+from rbjax.arguments import flag, instance, integer
 from rbjax.control.linear.arguments import check_regulator, weight_matrix
-from rbjax.control.products import product
+from rbjax.control.linear.parallel_riccati import costs_to_go
+from rbjax.control.products import definite_factor, product
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array
-
-MADE = "a LinearQuadratic, such as rb.control.linear.constant_problem returns"
 
 
 @displayed
@@ -48,6 +47,36 @@ class LinearQuadratic(NamedTuple):
     R: jax.Array
     r: jax.Array
     S: jax.Array
+
+    @classmethod
+    def constant(
+        cls, A: Any, B: Any, Q: Any, R: Any, horizon: int, terminal: Any = None, S: Any = None
+    ) -> LinearQuadratic:
+        """Build the problem of N equal steps without affine terms, an LQR of finite horizon.
+
+        Args:
+            A: (n, n).
+            B: (n, m).
+            Q: (n, n), symmetric; or the weights (n,).
+            R: (m, m), symmetric; or the weights (m,).
+            horizon: N.
+            terminal: Q_N, (n, n) or (n,); Q if None.
+            S: (n, m); 0 if None.
+        """
+        where = "LinearQuadratic.constant"
+        integer(where, "horizon", horizon, least=1)
+        A, B, Q, R, S = check_regulator(where, A, B, Q, R, S)
+        end = Q if terminal is None else weight_matrix(where, "terminal", terminal, A.shape[0])
+        A, B = (jnp.broadcast_to(x, (horizon, *x.shape)) for x in (A, B))
+        return constant_weights(A, B, Q, R, end.astype(A.dtype), S)
+
+    def roll(self, gains: Gains, start: Any) -> tuple[jax.Array, jax.Array]:
+        """Compute states dx (N + 1, n) and controls du (N, m) of the closed loop du = -K dx - k,
+        from the start dx_0 (n,)."""
+        fix = "Gains, such as rb.control.linear.backward returns"
+        instance("roll", "gains", gains, Gains, fix)
+        start = check_array("roll", "start", start, self.A.shape[-1:])
+        return roll_linear(self.A, self.B, self.d, -gains.K, -gains.k, start)
 
 
 @displayed
@@ -70,37 +99,22 @@ class Gains(NamedTuple):
     success: jax.Array
 
 
-@jax.custom_jvp
-def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return L of H = L L' and whether H is positive definite; if not, L is the identity matrix."""
-    L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
-    ok = jnp.isfinite(L).all()
-    return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok
-
-
-@definite_factor.defjvp
-def _definite_factor_jvp(primals, tangents):
-    (H,), (dH,) = primals, tangents
-    L, ok = definite_factor(H)
-    half = solve_triangular(L, (dH + dH.T) / 2, lower=True)
-    W = solve_triangular(L, half.T, lower=True)
-    dL = product(L, jnp.tril(W) - jnp.diag(jnp.diag(W)) / 2)
-    return (L, ok), (jnp.where(ok, dL, 0.0), jnp.zeros(ok.shape, jax.dtypes.float0))
-
-
 def propagate_hessian(V: jax.Array, A: jax.Array, B: jax.Array) -> tuple[jax.Array, ...]:
     """Return A'VA, B'VB and B'VA, the Hessian of the cost to go before a step."""
     VA = product(V, A)
     return product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA)
 
 
-def backward(problem: LinearQuadratic) -> Gains:
+def backward(problem: LinearQuadratic, *, parallel: bool = False) -> Gains:
     """Compute the gains and the cost to go of every knot by the Riccati recursion.
 
         K = H^-1 (S' + B'P A),   k = H^-1 (r + B'(p + P d)),   H = R + B'P B
 
     Args:
         problem: one sample.
+        parallel: whether to take log2 N sequential batched products instead of N, with 3 log2 N
+            times the arithmetic, for a device that is not fully used. R must be positive definite.
+            Without success all K and k are 0.
 
     Returns:
         `Gains`; du = -K dx - k.
@@ -110,75 +124,56 @@ def backward(problem: LinearQuadratic) -> Gains:
     Raises:
         InputError: not a `LinearQuadratic`.
 
-    Source: Bryson & Ho, *Applied Optimal Control*, 5.
+    Source: Bryson & Ho, *Applied Optimal Control*, 5; Särkkä & García-Fernández 2023 (parallel).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.control.linear import backward, constant_problem
+        >>> from rbjax.control.linear import LinearQuadratic, backward
         >>> one = jnp.eye(1)
-        >>> gains = backward(constant_problem(one, one, one, one, 20))
+        >>> gains = backward(LinearQuadratic.constant(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
         0.618034
     """
-    instance("backward", "problem", problem, LinearQuadratic, MADE)
+    fix = "a LinearQuadratic, such as LinearQuadratic.constant returns"
+    instance("backward", "problem", problem, LinearQuadratic, fix)
+    steps = problem._replace(Q=problem.Q[:-1], q=problem.q[:-1])
+    if flag("backward", "parallel", parallel):
+        P, p, ok = costs_to_go(problem)
+        K, k, _, _, good = jax.vmap(_step)(steps, P[1:], p[1:])
+        ok &= good.all()
+        return Gains(jnp.where(ok, K, 0.0), jnp.where(ok, k, 0.0), P, p, ok)
     end = problem.Q[-1], problem.q[-1]
     ok = jnp.isfinite(end[0]).all() & jnp.isfinite(end[1]).all()
     P, p = (jnp.where(ok, x, jnp.zeros_like(x)) for x in end)
     P = (P + P.T) / 2
-    steps = problem._replace(Q=problem.Q[:-1], q=problem.q[:-1])
 
-    def back(carry, given):
+    def back(carry: tuple, z: LinearQuadratic) -> tuple:
         P, p, ok = carry
-        z = given
-        APA, BPB, BPA = propagate_hessian(P, z.A, z.B)
-        ahead = p + product(P, z.d)
-        H, G = z.R + BPB, z.S.T + BPA
-        L, good = definite_factor((H + H.T) / 2)
-        both = jnp.concatenate([G, (z.r + product(z.B.T, ahead))[:, None]], 1)
-        half = solve_triangular(L, both, lower=True)
-        K = solve_triangular(L, half, lower=True, trans=1)
-        Y, y = half[:, :-1], half[:, -1]
-        new = z.Q + APA - product(Y.T, Y)
-        new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
-        good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
+        K, k, new, slope, good = _step(z, P, p)
         P, p = jnp.where(good, new, P), jnp.where(good, slope, p)
-        K = jnp.where(good, K, 0.0)
-        return (P, p, ok & good), (K[:, :-1], K[:, -1], P, p)
+        K, k = jnp.where(good, K, 0.0), jnp.where(good, k, 0.0)
+        return (P, p, ok & good), (K, k, P, p)
 
     carry, (K, k, Ps, ps) = jax.lax.scan(back, (P, p, ok), steps, reverse=True)
     Ps, ps = jnp.concatenate([Ps, P[None]]), jnp.concatenate([ps, p[None]])
     return Gains(K, k, Ps, ps, carry[2])
 
 
-def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute states (N + 1, n) and controls (N, m) of the closed loop from a start.
-
-        du = -K dx - k,    dx+ = A dx + B du + d
-
-    Args:
-        problem: one sample.
-        gains: the result of `backward`.
-        start: dx_0 (n,).
-
-    Returns:
-        dx (N + 1, n), du (N, m).
-
-    Raises:
-        InputError: not a `LinearQuadratic`, another shape, or values that are not finite.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.control.linear import backward, constant_problem, roll
-        >>> one = jnp.eye(1)
-        >>> problem = constant_problem(one, one, one, one, 2)
-        >>> x, u = roll(problem, backward(problem), jnp.ones(1))
-        >>> [round(float(y), 2) for y in x.ravel()]
-        [1.0, 0.4, 0.2]
-    """
-    instance("roll", "problem", problem, LinearQuadratic, MADE)
-    instance("roll", "gains", gains, Gains, "Gains, such as rb.control.linear.backward returns")
-    start = check_array("roll", "start", start, problem.A.shape[-1:])
-    return roll_linear(problem.A, problem.B, problem.d, -gains.K, -gains.k, start)
+def _step(z: LinearQuadratic, P: jax.Array, p: jax.Array) -> tuple[jax.Array, ...]:
+    """Return K, k, P and p of a step from P and p of the next knot, and whether H is positive
+    definite and all are finite."""
+    APA, BPB, BPA = propagate_hessian(P, z.A, z.B)
+    ahead = p + product(P, z.d)
+    H, G = z.R + BPB, z.S.T + BPA
+    L, good = definite_factor((H + H.T) / 2)
+    both = jnp.concatenate([G, (z.r + product(z.B.T, ahead))[:, None]], 1)
+    half = solve_triangular(L, both, lower=True)
+    K = solve_triangular(L, half, lower=True, trans=1)
+    Y, y = half[:, :-1], half[:, -1]
+    new = z.Q + APA - product(Y.T, Y)
+    new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
+    good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
+    return K[:, :-1], K[:, -1], new, slope, good
 
 
 def roll_linear(
@@ -193,40 +188,6 @@ def roll_linear(
 
     last, (x, u) = jax.lax.scan(step, first, (A, B, d, K, k))
     return jnp.concatenate([x, last[None]]), u
-
-
-def constant_problem(
-    A: Any, B: Any, Q: Any, R: Any, horizon: int, terminal: Any = None, S: Any = None
-) -> LinearQuadratic:
-    """Build the problem of N equal steps without affine terms, such as an LQR of finite horizon.
-
-    Args:
-        A: (n, n).
-        B: (n, m).
-        Q: (n, n), symmetric; or the weights (n,).
-        R: (m, m), symmetric; or the weights (m,).
-        horizon: N.
-        terminal: Q_N, (n, n) or (n,); Q if None.
-        S: (n, m); 0 if None.
-
-    Returns:
-        `LinearQuadratic`.
-
-    Raises:
-        InputError: shapes, values that are not finite, Q or R that is not symmetric, or a horizon
-            below 1.
-
-    Example:
-        >>> from rbjax.control.linear import backward, constant_problem
-        >>> backward(constant_problem([[1.0]], [[1.0]], [1.0], [1.0], 5)).K.shape
-        (5, 1, 1)
-    """
-    where = "constant_problem"
-    integer(where, "horizon", horizon, least=1)
-    A, B, Q, R, S = check_regulator(where, A, B, Q, R, S)
-    end = Q if terminal is None else weight_matrix(where, "terminal", terminal, A.shape[0])
-    A, B = (jnp.broadcast_to(x, (horizon, *x.shape)) for x in (A, B))
-    return constant_weights(A, B, Q, R, end.astype(A.dtype), S)
 
 
 def constant_weights(

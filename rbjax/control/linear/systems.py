@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
@@ -45,6 +44,35 @@ class Reach(NamedTuple):
     outside: jax.Array
     weakest: jax.Array
 
+    def missing(self, model: Model) -> list[str]:
+        """Describe the directions outside of the subspace with the names of a model's joints.
+
+        Each text is such as "1.00 velocity of hinge - 0.31 position of slide". If several
+        directions are missing, their basis is reduced so that each has few entries. The subspace
+        is of the states dq, dv, dx_e of the model, and not traced.
+
+        Raises:
+            InputError: another number of states.
+        """
+        check_model("missing", model)
+        n = 2 * model.nv + model.nx
+        if self.inside.shape != (n, n):
+            raise InputError(
+                f"missing: the subspace has shape {self.inside.shape}, expected {(n, n)}, of the "
+                "model's dq, dv and states of force elements"
+            )
+        names = state_names(model)
+        outside = np.asarray(self.outside)[:, : n - int(self.rank)]
+        texts = []
+        for row in _reduced(outside.T):
+            row = row / np.abs(row).max()
+            order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= LEAST]
+            row = row * np.sign(row[order[0]])
+            parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
+            signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
+            texts.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
+        return texts
+
 
 def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
     """Compute the controllable subspace of dx/dt = A x + B u or x+ = A x + B u.
@@ -56,7 +84,8 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
             norm of its column; n times the rounding unit times 100 if None.
 
     Returns:
-        `Reach`. The rank is an integer, so it has no derivative.
+        `Reach`. The rank is an integer, so it has no derivative. `missing(model)` describes the
+        directions outside.
 
     Raises:
         InputError: shapes, values that are not finite.
@@ -132,50 +161,6 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     axes = jnp.linalg.eigh((one - P + (one - P).T) / 2)[1][:, ::-1]
     outside = jnp.where(jnp.arange(n) < n - rank, axes, 0.0)
     return Reach(rank, P, outside, jnp.where(rank > 0, weakest, 0.0))
-
-
-def unreachable_directions(model: Model, reach: Reach) -> list[str]:
-    """Describe the directions outside of a subspace with the names of a model's joints.
-
-    Args:
-        model: the robot with the states dq, dv, dx_e.
-        reach: result of `controllability` or `observability`; not traced.
-
-    Returns:
-        A text per direction, such as "1.00 velocity of hinge - 0.31 position of slide". If several
-        directions are missing, their basis is reduced so that each has few entries.
-
-    Raises:
-        InputError: another number of states.
-
-    Example:
-        >>> import jax.numpy as jnp, rbjax as rb
-        >>> from rbjax.control.linear import controllability, unreachable_directions
-        >>> model = rb.load("cart_pole")
-        >>> A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
-        >>> len(unreachable_directions(model, controllability(A, 0 * B)))
-        4
-    """
-    check_model("unreachable_directions", model)
-    expected = "what controllability or observability returns"
-    instance("unreachable_directions", "reach", reach, Reach, expected)
-    n = 2 * model.nv + model.nx
-    if reach.inside.shape != (n, n):
-        raise InputError(
-            f"unreachable_directions: the subspace has shape {reach.inside.shape}, expected "
-            f"{(n, n)}, of the model's dq, dv and states of force elements"
-        )
-    names = state_names(model)
-    missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()
-    texts = []
-    for row in _reduced(missing.T):
-        row = row / np.abs(row).max()
-        order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= LEAST]
-        row = row * np.sign(row[order[0]])
-        parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
-        signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
-        texts.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
-    return texts
 
 
 def state_names(model: Model) -> list[str]:
