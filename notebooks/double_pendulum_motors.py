@@ -65,7 +65,7 @@ def recordings(design):
     runs = []
     for f in sorted((DATA / DESIGNS[design][0]).rglob("*.npz")):
         name = f.parent.name[9:] if f.stem == "trajectory" else f.stem
-        runs.append(sysid.read_npz(f, columns, time="time", name=name))
+        runs.append(sysid.read_recording(f, columns, time="time", name=name))
     return runs
 
 
@@ -74,7 +74,7 @@ for design in DESIGNS:
     run = runs[design][4 if design == "A.0" else 0]
     figure, axes = plt.subplots(1, 3, figsize=(12, 2.6), layout="constrained")
     cut = run.segment(3.0, 4.5)
-    speed = sysid.data.differentiate(run["q"].t, run["q"].values, 100.0).values
+    speed = sysid.data.low_pass(run["q"].t, run["q"].values, 100.0, derivative=1).values
     near = (run["q"].t > 3.0) & (run["q"].t < 4.5)
     for k, (joint, color) in enumerate(zip(JOINTS, (BLUE, ORANGE), strict=True)):
         axes[0].plot(cut["q"].t, cut["q"].values[:, k], color=color, label=joint)
@@ -238,7 +238,7 @@ def fit(design, train):
 def predicted(r, values, noise, zeros=True):
     """Equations after the first seconds, and the torque that the parameters say."""
     first, rest = r.segment(end=r.t[0] + FIRST), r.segment(start=r.t[0] + FIRST)
-    z = sysid.torque.zeros_of(first, values, noise=noise, spread=ZEROS) if zeros else np.zeros(2)
+    z = first.encoder_zeros(values, noise=noise, spread=ZEROS) if zeros else np.zeros(2)
     return rest, rest.tau - rest.residual(values, z), z
 
 
@@ -301,8 +301,8 @@ def free_run(model, run, zeros, seconds=1.0, h=0.002):
     """Angles simulated and measured, (windows, samples, 2)."""
     t = run.start + h * np.arange(int((run.end - run.start) / h))
     seen = run.on_clock(t)
-    slope = sysid.data.differentiate
-    q, v = (slope(t, seen["q"].values, f, times=k) for k, f in ((0, 40.0), (1, 15.0)))
+    slope = sysid.data.low_pass
+    q, v = (slope(t, seen["q"].values, f, derivative=k) for k, f in ((0, 40.0), (1, 15.0)))
     q, v, n = q.values + zeros, v.values, int(seconds / h)
     at = np.linspace((FIRST + 0.5) / h, len(t) - n - 51, 20).astype(int)
     ctrl = jnp.asarray(np.stack([seen["tau"].values[k : k + n] for k in at]))
@@ -358,7 +358,7 @@ for design in DESIGNS:
         links = []
         for run in some:
             t, q = run["q"].t, run["q"].values
-            tau, v = (sysid.data.differentiate(t, x, 25.0, times=k).values
+            tau, v = (sysid.data.low_pass(t, x, 25.0, derivative=k).values
                       for k, x in ((0, run["tau"].values), (1, q)))  # fmt: skip
             T = tau - dry * np.tanh(v / 0.1)
             link = q - sysid.data.low_pass(t, np.tanh(T / 0.3), 25.0).values * [c, 0.0]

@@ -33,7 +33,7 @@ import numpy as np
 import rbjax as rb
 from rbjax.plotting import STYLE
 from rbjax.sysid import Channel, Grid, Recording, Setup, Shared, Unknown, identify
-from rbjax.sysid.data import differentiate, low_pass
+from rbjax.sysid.data import low_pass
 
 jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)
@@ -131,7 +131,7 @@ if DATA is not None:
     t, q = first_half["q"].t, first_half["q"].values
     asked = first_half["ctrl"].values
     smooth, v, a = (
-        differentiate(t, q, 8.0, times=k).values if k else low_pass(t, q, 8.0).values
+        low_pass(t, q, 8.0, derivative=k).values
         for k in range(3)
     )
     inertial = jax.jit(jax.vmap(lambda q, v, a: rb.inverse_dynamics(model, q, v, a)))

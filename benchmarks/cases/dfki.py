@@ -98,7 +98,7 @@ def recordings(design: str) -> list[sysid.Recording]:
         for k, joint in enumerate(JOINTS)
     }
     name = {f: f.stem if design == "A.0" else f.parent.name for f in files}
-    return [sysid.read_npz(f, columns, time="time", name=name[f]) for f in files]
+    return [sysid.read_recording(f, columns, time="time", name=name[f]) for f in files]
 
 
 def rows(
@@ -138,7 +138,7 @@ def score(
     left, there, by_run = np.zeros(2), np.zeros(2), {}
     for run, r in zip(runs, rows, strict=True):
         first, rest = r.segment(end=r.t[0] + FIRST), r.segment(start=r.t[0] + FIRST)
-        z = sysid.torque.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
+        z = first.encoder_zeros(parameters, noise=noise) if zeros else np.zeros(2)
         off = (rest.residual(parameters, z) ** 2).sum(0)
         all_of_it = ((rest.tau - rest.tau.mean(0)) ** 2).sum(0)
         moved = driven(run)
@@ -184,7 +184,7 @@ def free_run(
     t = run.start + h * np.arange(int((run.end - run.start) / h))
     seen = run.on_clock(t)
     q, tau = seen["q"].values, seen["tau"].values
-    v = sysid.data.differentiate(t, q, 15.0).values
+    v = sysid.data.low_pass(t, q, 15.0, derivative=1).values
     q = sysid.data.low_pass(t, q, SIGNALS).values + zeros
     n = int(seconds / h)
     begins = np.arange(int((FIRST + 0.5) / h), len(t) - n - 50, int(every / h))

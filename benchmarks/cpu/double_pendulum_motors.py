@@ -22,7 +22,6 @@ import numpy as np  # noqa: E402
 from benchmarks.cases import dfki  # noqa: E402
 from benchmarks.shared.progress import progress  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
-from rbjax import sysid  # noqa: E402
 
 CUTOFFS = (3.0, 4.0, 5.0, 8.0)
 COLUMNS = (
@@ -61,7 +60,7 @@ def table(design: str, cutoff: float) -> list[dict[str, Any]]:
             scores.append(dfki.score(values, [run], [r], noise=noise, zeros=zeros))
             if cutoff == dfki.CUTOFF and model is not None:
                 first = r.segment(end=r.t[0] + dfki.FIRST)
-                z = sysid.torque.zeros_of(first, values, noise=noise) if zeros else np.zeros(2)
+                z = first.encoder_zeros(values, noise=noise) if zeros else np.zeros(2)
                 up = dfki.swings_up(run)
                 off = dfki.free_run(model, run, z, seconds=0.3 if up else 1.0)
                 errors[up].append(np.sqrt((off**2).mean(1)))

@@ -1,7 +1,7 @@
 """System identification: estimation of the parameters of a model from measured motion.
 
-Data: a `Recording` holds one `Channel` for each sensor. `read_csv` and `read_npz` read recordings,
-`findings` checks them, `split` divides them into training and validation data.
+Data: a `Recording` holds one `Channel` for each sensor. `read_recording` reads a
+file, `findings` checks recordings, `split` divides them into training and validation data.
 
 Unknowns: `Unknown`, `Inertia`, `Shared`, ... select parameters of a `Model`, or of a `Setup`, which
 adds sensors (`rbjax.sensors`), a controller and a delay.
@@ -22,7 +22,7 @@ Packages: `data` (filters, units), `parameters` (log-Cholesky coordinates of ine
 
 from rbjax.status import Status
 from rbjax.sysid import data, design, parameters, statistics, torque
-from rbjax.sysid.data.readers import Column, read_csv, read_npz
+from rbjax.sysid.data.readers import Column, read_recording
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.recording_checks import findings
 from rbjax.sysid.data.splits import split
@@ -41,8 +41,8 @@ __all__ = [
     "Calibration", "Channel", "Column", "Derived", "FixedTotal", "Grid", "Identified", "Inertia",
     "PD", "Recording", "Setup", "Shared", "Status", "Tilt", "Unknown", "data", "design", "diagnose",
     "findings", "free_run", "identifiability", "identify", "many_starts", "monte_carlo",
-    "parameters", "prediction_error", "read_csv", "read_npz", "report", "split", "squares",
-    "statistics", "torque",
+    "parameters", "prediction_error", "read_recording", "report", "split", "squares", "statistics",
+    "torque",
 ]  # fmt: skip
 
 

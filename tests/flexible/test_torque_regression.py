@@ -13,7 +13,6 @@ from rbjax.sysid import Channel, Recording
 from rbjax.sysid.torque import (
     base_parameters,
     consistent,
-    observation_matrix,
     parameter_names,
     parameter_values,
     regress,
@@ -101,7 +100,7 @@ def test_bending_stiffness_damping_and_mass_from_noisy_torques() -> None:
     model = arm.with_beam("rod", rod, "upper", position=(0, 0, -0.4))
     rng = np.random.default_rng(3)
     q, v, a = (jnp.asarray(rng.normal(size=(300, model.nv))) for _ in range(3))
-    W = np.asarray(observation_matrix(model, q, v, a))
+    W = np.asarray(regressor(model, q, v, a))
     exact = np.asarray(jax.vmap(lambda *x: torques(model, *x))(q, v, a))
     names = parameter_names(model)
     first = ["rod.mass_per_length[0]", "rod.stiffness[k_y]", "rod.viscosity[k_y]"]

@@ -8,7 +8,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.sysid import Inertia
-from rbjax.sysid.parameters import log_cholesky_parameters, pseudo_inertia_of, to_log_cholesky
+from rbjax.sysid.parameters import pseudo_inertia_of, to_log_cholesky
+from rbjax.sysid.parameters.log_cholesky import log_cholesky_parameters
 
 MJCF = """
 <mujoco model="mine">

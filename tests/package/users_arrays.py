@@ -69,7 +69,7 @@ def dynamics() -> None:
     constraints.joint_wrenches(model, state, np.zeros(model.nu))
     rb.control.allocate(model, state, a)
     torque.regressor(model, q, v, a)
-    torque.observation_matrix(model, q[None], [v], a[None])
+    torque.regressor(model, q[None], [v], a[None])
 
 
 def geometry() -> None:
@@ -97,8 +97,8 @@ def geometry() -> None:
     spatial.from_pseudo_inertia(P), spatial.consistency(2.0, inertia)
     spatial.check_mass_properties(2.0, x, inertia)
     theta = np.asarray(parameters.to_log_cholesky(P))
-    parameters.from_log_cholesky(theta), parameters.log_cholesky_parameters(theta)
-    parameters.log_determinant_divergence(P, P), parameters.prior_residual(theta, theta)
+    parameters.from_log_cholesky(theta)
+    parameters.log_determinant_divergence(P, P)
     parameters.nearest_pseudo_inertia(P), parameters.inertial_parameters_of(P)
     body.ellipsoid_added_mass([1.0, 1.1, 1.2], 1000.0)
     grid = planning.OccupancyGrid(np.zeros((40, 30), bool), 0.1, [0.0, 0.0])

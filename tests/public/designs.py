@@ -264,7 +264,6 @@ SYSID = {
     ),
     "to_log_cholesky": Case(same(sysid.parameters.to_log_cholesky), [PSEUDO]),
     "from_log_cholesky": Case(same(sysid.parameters.from_log_cholesky), [THETA]),
-    "log_cholesky_parameters": Case(same(sysid.parameters.log_cholesky_parameters), [THETA]),
     "pseudo_inertia_of": Case(same(sysid.parameters.pseudo_inertia_of), [THETA]),
     "inertial_parameters_of": Case(same(sysid.parameters.inertial_parameters_of), [PSEUDO]),
     "nearest_pseudo_inertia": Case(same(sysid.parameters.nearest_pseudo_inertia), [PSEUDO]),
@@ -273,21 +272,19 @@ SYSID = {
             arm,
             lambda m, t: (
                 sysid.parameters.with_inertial_parameters(
-                    m, jnp.stack([sysid.parameters.log_cholesky_parameters(t)] * 2)
+                    m, jnp.stack([sysid.parameters.log_cholesky.log_cholesky_parameters(t)] * 2)
                 ).bodies
             ),
         ),
         [THETA],
     ),
-    "model_log_cholesky": Case(heavier(sysid.parameters.model_log_cholesky), [MASSES]),
     "parameter_values": Case(heavier(sysid.torque.parameter_values), [MASSES]),
-    "observation_matrix": Case(
-        on(arm, lambda m, q, v, a: sysid.torque.observation_matrix(m, q, v, a)), LONG
+    "regressor, samples": Case(
+        on(arm, lambda m, q, v, a: sysid.torque.regressor(m, q, v, a)), LONG
     ),
     "log_determinant_divergence": Case(
         same(sysid.parameters.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]
     ),
-    "prior_residual": Case(same(sysid.parameters.prior_residual), [THETA, THETA[::-1]]),
 }
 
 # ---------------------------------------------------------------- stability

@@ -32,12 +32,12 @@ ELSEWHERE: dict[str, set[str]] = {
     "control.optimal": {"methods", "mpc"},
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
-              "diagnose", "differentiate", "estimates", "findings", "free_run",
+              "diagnose", "estimates", "findings", "free_run",
               "held_out", "identifiability", "identify", "in_si", "low_pass", "many_starts",
               "monte_carlo", "parameter_names",
-              "prediction_error", "random_motions", "read_csv", "read_npz", "regress",
+              "prediction_error", "read_recording", "regress",
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
-              "whiteness", "zeros_of"},
+              "whiteness"},
     "estimation": set(),
     "sensors": {"kinds", "register", "sensor_of"},
     # theory by polynomials in NumPy, runs of a million steps, pictures

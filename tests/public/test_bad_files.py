@@ -138,7 +138,7 @@ READERS = {
     "wheeled": Reader("car.xml", text("car.xml", wheeled.write_mjcf(CAR)),
                       lambda path: wheeled.from_file(path, "*wheel*"), True),
     "job": Reader("identify.toml", lambda folder: write_example(folder), Job.read),
-    "csv": Reader("a.csv", text("a.csv", TABLE), lambda path: sysid.read_csv(path, COLUMNS)),
+    "csv": Reader("a.csv", text("a.csv", TABLE), lambda path: sysid.read_recording(path, COLUMNS)),
     "map": Reader("map.yaml", test_ros_map.made, planning.OccupancyGrid.from_ros),
     "sid": Reader("body.SID_FEM", write_body, modal.read_sid),
     "mbdyn": Reader("a.fem", text("a.fem", test_mbdyn_modal.text_of(test_mbdyn_modal.RECORDS)),
@@ -148,7 +148,7 @@ READERS = {
     "motion": Reader("motion.npz", write_motion, rb.loading.load_trajectory, True),
     "npz": Reader("a.npz", lambda folder: np.savez(folder / "a.npz", t=np.arange(4) * 0.1,
                                                    a=np.ones(4)),
-                  lambda path: sysid.read_npz(path, COLUMNS)),
+                  lambda path: sysid.read_recording(path, COLUMNS)),
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import strategies as st
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid import Column, read_csv, read_npz
+from rbjax.sysid import Column, read_recording
 from tests.sysid.test_bad_jobs import MANY, never_bare
 
 WANTED = {"a": Column("q", "hip", "deg"), "i": Column("tau", "hip")}
@@ -103,10 +103,10 @@ def bad_archives(draw):
     return content
 
 
-def bad_file(folder, content, read, suffix):
+def bad_file(folder, content, suffix):
     path = folder / f"run.{suffix}"
     path.write_bytes(content)
-    never_bare(lambda: read(path, WANTED))
+    never_bare(lambda: read_recording(path, WANTED))
 
 
 @pytest.fixture(scope="module")
@@ -116,19 +116,19 @@ def folder(tmp_path_factory):
 
 def test_the_files_that_are_spoilt_are_good(folder):
     (folder / "run.csv").write_text("\n".join(",".join(row) for row in [HEAD, *ROWS]))
-    assert read_csv(folder / "run.csv", WANTED)["tau"].values.ravel().tolist() == [5, 6, 7, 8]
+    assert read_recording(folder / "run.csv", WANTED)["tau"].values.ravel().tolist() == [5, 6, 7, 8]
 
 
 @MANY
 @hypothesis.given(content=bad_tables())
 def test_150_bad_tables_are_named(folder, content):
-    bad_file(folder, content, read_csv, "csv")
+    bad_file(folder, content, "csv")
 
 
 @MANY
 @hypothesis.given(content=bad_archives())
 def test_150_bad_archives_are_named(folder, content):
-    bad_file(folder, content, read_npz, "npz")
+    bad_file(folder, content, "npz")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_150_bad_archives_are_named(folder, content):
 def test_bad_columns_are_named(folder, column):
     (folder / "run.csv").write_text("\n".join(",".join(row) for row in [HEAD, *ROWS]))
     wanted = {"a": Column("q", "hip")._replace(**column)}
-    never_bare(lambda: read_csv(folder / "run.csv", wanted))
+    never_bare(lambda: read_recording(folder / "run.csv", wanted))
 
 
 @pytest.mark.parametrize(
@@ -162,17 +162,17 @@ def test_bad_arguments_are_named(folder, how):
     (folder / "run.csv").write_text("\n".join(",".join(row) for row in [HEAD, *ROWS]))
     given = {"path": folder / "run.csv", "columns": WANTED} | how
     path, columns = given.pop("path"), given.pop("columns")
-    never_bare(lambda: read_csv(path, columns, **given))
+    never_bare(lambda: read_recording(path, columns, **given))
 
 
 def test_a_row_of_another_length_is_named(folder):
     path = folder / "run.csv"
     path.write_text("t,a,i\n0,1,2\n0,5,1,2\n")
     with pytest.raises(InputError, match=r"line 3 has 4 cells, expected 3.*decimal = ','"):
-        read_csv(path, WANTED)
+        read_recording(path, WANTED)
     path.write_text("t;a;i;\n0;1;2;\n0,5;1;2;\n")  # each row may end with a delimiter
-    assert read_csv(path, WANTED, decimal=",")["q"].t.tolist() == [0, 0.5]
+    assert read_recording(path, WANTED, decimal=",")["q"].t.tolist() == [0, 0.5]
     with pytest.raises(UnknownName, match="unit of sensor q 'rpm'"):
-        read_csv(path, {"a": ("q", "hip", "rpm")}, decimal=",")
-    current = read_csv(path, {"a": ("tau", "hip", "A", 0.1)}, decimal=",")
+        read_recording(path, {"a": ("q", "hip", "rpm")}, decimal=",")
+    current = read_recording(path, {"a": ("tau", "hip", "A", 0.1)}, decimal=",")
     assert current["tau"].values.ravel().tolist() == [0.1, 0.1]  # by the torque constant

@@ -8,6 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError
+from rbjax.sysid.parameters import log_cholesky
 from rbjax.sysid.torque.consistency import _Problem
 from rbjax.sysid.torque.torque_equations import equations
 from tests.oracles import load
@@ -26,11 +27,11 @@ def eigenvalues(model):
 
 def other_bodies(model, seed, spread=0.2):
     """The same robot with inertias that are off: by about 20 % of log-Cholesky coordinates."""
-    theta = np.asarray(sysid.parameters.model_log_cholesky(model))
+    theta = np.asarray(log_cholesky.model_log_cholesky(model))
     off = spread * np.random.default_rng(seed).normal(size=theta.shape)
     off[:, 4:] *= 0.1
     return sysid.parameters.with_inertial_parameters(
-        model, sysid.parameters.log_cholesky_parameters(theta + off)
+        model, log_cholesky.log_cholesky_parameters(theta + off)
     )
 
 
@@ -41,8 +42,8 @@ def arm5():
     truth = other_bodies(cad, 0)
     truth = truth.replace(joints=truth.joints.replace(armature=1.5 * cad.joints.armature))
     W = np.asarray(
-        sysid.torque.observation_matrix(
-            cad, *sysid.torque.random_motions(cad, 60), joint_terms=TERMS
+        sysid.torque.regressor(
+            cad, *sysid.torque.motions.random_motions(cad, 60), joint_terms=TERMS
         )
     )
     pi = np.array(sysid.torque.parameter_values(truth, TERMS))
@@ -101,7 +102,7 @@ def test_always_a_body_where_least_squares_gives_none():
     t = np.linspace(0, 2, 80)[:, None]
     w = np.array([1.0, 1.3, 0.7, 1.9, 2.3])
     q, v, a = 0.3 * np.sin(w * t), 0.3 * w * np.cos(w * t), -0.3 * w**2 * np.sin(w * t)
-    W = np.asarray(sysid.torque.observation_matrix(cad, q, v, a))
+    W = np.asarray(sysid.torque.regressor(cad, q, v, a))
     tau = W @ np.asarray(rb.inertial_parameters(cad)) + 0.1 * rng.normal(size=v.shape)
     names = sysid.torque.parameter_names(cad)
     linear = sysid.torque.regress(W, tau, names).parameters(rb.inertial_parameters(cad))
@@ -115,7 +116,7 @@ def test_always_a_body_where_least_squares_gives_none():
 def test_outliers_by_the_weights_of_a_robust_regression():
     model = planar_2R(ARM)
     q, v, a = fourier(ARM, np.arange(300) / 30)
-    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.regressor(model, q, v, a))
     rng = np.random.default_rng(5)
     pi = np.asarray(rb.inertial_parameters(other_bodies(model, 2)))
     tau = W @ pi + 0.05 * rng.normal(size=(300, 2)) + 30.0 * (rng.uniform(size=(300, 2)) < 0.05)

@@ -22,6 +22,7 @@ import rbjax as rb
 from rbjax import sysid
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
 from rbjax.sysid.estimators.likelihood import Likelihood, NoiseLevels, make_series
+from rbjax.sysid.parameters import log_cholesky
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknown_vector import Unknowns
 from rbjax.sysid.simulation.multiple_shooting import MultipleShooting
@@ -39,7 +40,7 @@ RELATIVE = 1e-6  # of the largest entry; differences are good to 1e-9
 MODEL = rb.load("double_pendulum")
 NAMES = sysid.torque.parameter_names(MODEL)
 PI = np.asarray(rb.inertial_parameters(MODEL), float)
-Q, V, A = (np.asarray(x) for x in sysid.torque.random_motions(MODEL, 20))
+Q, V, A = (np.asarray(x) for x in sysid.torque.motions.random_motions(MODEL, 20))
 
 
 @dataclasses.dataclass
@@ -91,7 +92,7 @@ def torques() -> Callable[[Any], jax.Array]:
 
 @functools.cache
 def measured() -> tuple[np.ndarray, np.ndarray]:
-    W = np.asarray(sysid.torque.observation_matrix(MODEL, Q, V, A))
+    W = np.asarray(sysid.torque.regressor(MODEL, Q, V, A))
     tau = W @ PI + 0.1 * np.random.default_rng(0).normal(size=W.shape[:2])
     tau[3, 0] += 5.0  # an outlier
     return W, tau
@@ -135,7 +136,7 @@ def regression(method: str) -> Case:
 def consistent() -> Case:
     tau = measured()[1]
     terms = ("armature", "viscous")
-    W = np.asarray(sysid.torque.observation_matrix(MODEL, Q, V, A, joint_terms=terms))
+    W = np.asarray(sysid.torque.regressor(MODEL, Q, V, A, joint_terms=terms))
     eq = equations(W, tau, sysid.torque.parameter_names(MODEL, terms), noise=0.3)
     X = W.reshape(-1, W.shape[-1]) / 0.3
     problem = _Problem(MODEL, terms, X, tau.ravel() / 0.3, np.asarray(0.5), weighted(eq))
@@ -213,7 +214,7 @@ def encoder_zeros() -> Case:
 
 def prior() -> Case:
     """The log-determinant divergence of a body, by its ten squares."""
-    theta = np.asarray(sysid.parameters.model_log_cholesky(MODEL))[0]
+    theta = np.asarray(log_cholesky.model_log_cholesky(MODEL))[0]
     P0 = sysid.parameters.from_log_cholesky(theta)
 
     def loss(x: Any) -> jax.Array:
@@ -221,7 +222,7 @@ def prior() -> Case:
             sysid.parameters.from_log_cholesky(x), P0
         )
 
-    residual = jax.jit(lambda x: sysid.parameters.prior_residual(x, theta))
+    residual = jax.jit(lambda x: log_cholesky.prior_residual(x, theta))
     jacobian = jax.jit(jax.jacfwd(residual))
 
     def gradient(x: Any) -> Any:

@@ -48,7 +48,7 @@ def test_free_runs_of_test_runs(design):
     new, was = [], []
     for run in (r for r in parts.test if not dfki.swings_up(r)):
         first = rows[run.name].segment(end=rows[run.name].t[0] + dfki.FIRST)
-        z = sysid.torque.zeros_of(first, fit.values, noise=fit.linear.noise)
+        z = first.encoder_zeros(fit.values, noise=fit.linear.noise)
         new.append(dfki.free_run(fit.model, run, z))
         was.append(dfki.free_run(old.model, run, np.zeros(2)))
     new, was = (

@@ -1,9 +1,9 @@
-"""`low_pass` and `differentiate` against sines, whose response is known, and against noise."""
+"""`low_pass` against sines, whose response is known, and against noise."""
 
 import numpy as np
 import pytest
 
-from rbjax.sysid.data import differentiate, low_pass
+from rbjax.sysid.data import low_pass
 
 RATE, CUTOFF = 500.0, 20.0
 EVEN = np.arange(3000) / RATE
@@ -58,7 +58,7 @@ def test_the_error_of_a_derivative_is_of_sixth_order(times):
     w, errors = 2 * np.pi * 10.0, []
     for rate in (100.0, 150.0):
         t = np.arange(0, 12, 1 / rate)
-        out = differentiate(t, np.sin(w * t), 0.45 * rate, times=times, order=12)
+        out = low_pass(t, np.sin(w * t), 0.45 * rate, derivative=times, order=12)
         exact = w * np.cos(w * t) if times == 1 else -(w**2) * np.sin(w * t)
         error = np.abs(out.values - exact)[400:-400].max()
         assert abs(error / (w**times * (w / rate) ** 6 / (140, 560)[times - 1]) - 1) < 0.15
@@ -70,7 +70,7 @@ def test_the_error_of_a_derivative_is_of_sixth_order(times):
 def test_derivatives_of_a_coarse_clock_are_not_too_small(times):
     """A drive read at 33 Hz that moves at 4 Hz: three-point differences lose 9 % and 4.5 %."""
     t, w = np.arange(0, 20, 0.03), 2 * np.pi * 4.0
-    out = differentiate(t, np.sin(w * t), 13.0, times=times)
+    out = low_pass(t, np.sin(w * t), 13.0, derivative=times)
     amplitude, _ = response(t, out.values, 4.0)
     assert abs(amplitude / w**times - 1) < 2e-3
 
@@ -80,11 +80,11 @@ def test_derivatives_of_a_coarse_clock_are_not_too_small(times):
 def test_derivatives_and_noise_as_stated(t, times):
     w = 2 * np.pi * 3.0
     exact = [np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)][times]
-    clean = differentiate(t, np.sin(w * t), CUTOFF, times=times)
+    clean = low_pass(t, np.sin(w * t), CUTOFF, derivative=times)
     error = np.abs(clean.values - exact)[clean.settled].max() / w**times
     assert error < 0.01  # 3 Hz is within the bandwidth
     noise = rng.normal(size=(t.size, 20))
-    noisy = differentiate(t, noise, CUTOFF, times=times)
+    noisy = low_pass(t, noise, CUTOFF, derivative=times)
     spread = noisy.values[noisy.settled].std()
     # 20 signals of about 80 independent samples a second: 2 %; jitter adds a little
     assert abs(spread / clean.gain - 1) < (0.05 if t is EVEN else 0.1)
@@ -94,6 +94,6 @@ def test_derivatives_and_noise_as_stated(t, times):
 def test_columns_are_filtered_each():
     x = rng.normal(size=(300, 3))
     for t in (EVEN[:300], UNEVEN[:300]):
-        together = differentiate(t, x, CUTOFF, times=2).values
-        single = [differentiate(t, c, CUTOFF, times=2).values for c in x.T]
+        together = low_pass(t, x, CUTOFF, derivative=2).values
+        single = [low_pass(t, c, CUTOFF, derivative=2).values for c in x.T]
         np.testing.assert_allclose(together.T, single, rtol=1e-9, atol=1e-6)

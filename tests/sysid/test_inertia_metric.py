@@ -53,7 +53,7 @@ def test_gradient_and_hessian_in_log_cholesky_coordinates():
 
 
 def test_residual_squares_to_the_divergence():
-    r = sysid.parameters.prior_residual(THETA[0], THETA[1:])
+    r = log_cholesky.prior_residual(THETA[0], THETA[1:])
     want = [
         sysid.parameters.log_determinant_divergence(P_OF["case0"], P_OF[f"case{k}"])
         for k in range(1, 5)
@@ -61,7 +61,7 @@ def test_residual_squares_to_the_divergence():
     assert r.shape == (4, 10)
     np.testing.assert_allclose((r**2).sum(-1), want, rtol=EXACT)
     # Gauss-Newton on it has the exact Hessian at the prior: J^T J = H / 2
-    J = jax.jit(jax.jacfwd(sysid.parameters.prior_residual))(THETA[0], THETA[0])
+    J = jax.jit(jax.jacfwd(log_cholesky.prior_residual))(THETA[0], THETA[0])
     assert relative_error(2 * J.T @ J, ORACLE["hessian_at_the_prior"]["hessian"]) < EXACT
 
 
@@ -84,7 +84,7 @@ def test_what_is_no_body_is_an_error():
 
 FUNCTIONS = {
     "divergence": (sysid.parameters.log_determinant_divergence, "PQ"),
-    "residual": (sysid.parameters.prior_residual, "theta"),
+    "residual": (log_cholesky.prior_residual, "theta"),
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError
+from rbjax.sysid.parameters import log_cholesky
 from rbjax.sysid.parameters.log_cholesky import parameter_jacobian
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
@@ -31,7 +32,7 @@ PHI = np.stack(list(map(phi_of, CASES["mass"], CASES["h"], CASES["I_origin"])))
 def test_coordinates_to_body():
     P = sysid.parameters.from_log_cholesky(CASES["theta"])
     assert relative_error(P, CASES["pseudo_inertia"], batch_dims=1).max() < EXACT
-    phi = sysid.parameters.log_cholesky_parameters(CASES["theta"])
+    phi = log_cholesky.log_cholesky_parameters(CASES["theta"])
     assert relative_error(phi, PHI, batch_dims=1).max() < EXACT
     assert (
         relative_error(sysid.parameters.inertial_parameters_of(P), PHI, batch_dims=1).max() < EXACT
@@ -59,7 +60,7 @@ def test_gradient_and_hessian_of_a_scalar():
     theta, weights = CASES["theta"][scalar["theta_case"]], np.array(scalar["weights"])
 
     def f(x):
-        return weights @ sysid.parameters.log_cholesky_parameters(x)
+        return weights @ log_cholesky.log_cholesky_parameters(x)
 
     value, gradient, hessian = jax.jit(lambda x: (f(x), jax.grad(f)(x), jax.hessian(f)(x)))(theta)
     np.testing.assert_allclose(value, scalar["value"], rtol=EXACT)
@@ -111,23 +112,21 @@ def test_a_model_and_its_parameters():
     pi = np.asarray(rb.inertial_parameters(model)) * 1.3
     changed = sysid.parameters.with_inertial_parameters(model, pi)
     assert relative_error(rb.inertial_parameters(changed), pi) < EXACT
-    theta = sysid.parameters.model_log_cholesky(changed)
-    phi = sysid.parameters.log_cholesky_parameters(theta)
+    theta = log_cholesky.model_log_cholesky(changed)
+    phi = log_cholesky.log_cholesky_parameters(theta)
     assert relative_error(phi.reshape(-1), pi) < EXACT
     with pytest.raises(InputError, match=rf"mass of {model.body_names[2]} is -1"):
         sysid.parameters.with_inertial_parameters(model, jnp.asarray(pi).at[20].set(-1.0))
     flat = model.bodies.inertia.at[1].set(jnp.diag(jnp.array([1.0, 1.0, 2.5])))
     with pytest.raises(InputError, match=rf"inertia of {model.body_names[1]} \("):
-        sysid.parameters.model_log_cholesky(
-            model.replace(bodies=model.bodies.replace(inertia=flat))
-        )
+        log_cholesky.model_log_cholesky(model.replace(bodies=model.bodies.replace(inertia=flat)))
 
 
 THETA = CASES["theta"][:3]
 FUNCTIONS = {
     "from_log_cholesky": (sysid.parameters.from_log_cholesky, [THETA]),
     "to_log_cholesky": (sysid.parameters.to_log_cholesky, [CASES["pseudo_inertia"][:3]]),
-    "log_cholesky_parameters": (sysid.parameters.log_cholesky_parameters, [THETA]),
+    "log_cholesky_parameters": (log_cholesky.log_cholesky_parameters, [THETA]),
     "pseudo_inertia_of": (sysid.parameters.pseudo_inertia_of, [PHI[:3]]),
     "inertial_parameters_of": (
         sysid.parameters.inertial_parameters_of,

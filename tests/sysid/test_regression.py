@@ -26,7 +26,7 @@ def experiment(n=1000):
     """Names, W, exact torques and base parameters of the 2R arm on the oracle's excitation."""
     model = planar_2R(ARM)
     q, v, a = fourier(ARM, np.arange(n) * ARM["T"] / n)
-    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.regressor(model, q, v, a))
     names, pi = sysid.torque.parameter_names(model), np.asarray(rb.inertial_parameters(model))
     base = sysid.statistics.combinations(W, names)
     return names, W, W @ pi, base, base.combine(pi)
@@ -205,7 +205,7 @@ def test_instruments_of_the_simulated_arm():
         return path.q, path.v, a, tau
 
     def observed(q, v, a):
-        return np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+        return np.asarray(sysid.torque.regressor(model, q, v, a))
 
     q, v, a, tau = map(np.asarray, loop(model))
     names, pi = sysid.torque.parameter_names(model), np.asarray(rb.inertial_parameters(model))

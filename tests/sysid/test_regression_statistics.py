@@ -112,7 +112,7 @@ def test_consistent_intervals_follow_coloured_residuals():
     rng = np.random.default_rng(0)
     t = np.arange(400) * 0.02
     q, v, a = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    W = sysid.torque.observation_matrix(model, q[:, None], v[:, None], a[:, None])
+    W = sysid.torque.regressor(model, q[:, None], v[:, None], a[:, None])
     tau = np.asarray(W @ rb.inertial_parameters(model))
     size = 0.05 * np.abs(tau).max()
     found = {}
@@ -150,7 +150,7 @@ def test_an_instrumental_regression_says_whether_it_converged():
 
 def test_a_consistent_fit_says_whether_it_converged():
     model = rb.load("double_pendulum")
-    W = sysid.torque.observation_matrix(model, *sysid.torque.random_motions(model, 50))
+    W = sysid.torque.regressor(model, *sysid.torque.motions.random_motions(model, 50))
     tau = W @ rb.inertial_parameters(model) * 1.5
     assert sysid.torque.consistent(model, W, tau, noise=0.1).success
     assert not sysid.torque.consistent(model, W, tau, noise=0.1, max_steps=2).success
@@ -160,9 +160,7 @@ def test_a_consistent_fit_says_whether_it_converged():
 def rows():
     model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.005)
     q, v, a = np.sin(3 * t)[:, None], 3 * np.cos(3 * t)[:, None], -9 * np.sin(3 * t)[:, None]
-    tau = np.asarray(
-        sysid.torque.observation_matrix(model, q, v, a) @ rb.inertial_parameters(model)
-    )
+    tau = np.asarray(sysid.torque.regressor(model, q, v, a) @ rb.inertial_parameters(model))
     channels = {"q": sysid.Channel(t, q - 0.03), "tau": sysid.Channel(t, tau)}
     made = sysid.torque.torque_rows(model, sysid.Recording("swing", channels), 5.0)
     return made.only(["rod.hz", "rod.Iyy"])

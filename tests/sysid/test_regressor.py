@@ -22,7 +22,7 @@ ALL = ("armature", "viscous", "coulomb", "bias")
 
 
 def motions(model, n, seed=0):
-    return sysid.torque.random_motions(model, n, seed=seed)
+    return sysid.torque.motions.random_motions(model, n, seed=seed)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_torques_of_inverse_dynamics(name):
     """On trees with free and ball joints, several joints on a body, welded bodies."""
     model = robot(name).model
     q, v, a = motions(model, 4)
-    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.regressor(model, q, v, a))
     tau = np.asarray(jax.vmap(functools.partial(rb.inverse_dynamics, model))(q, v, a))
     given = W @ np.asarray(rb.inertial_parameters(model)) + np.asarray(model.joints.armature) * a
     assert relative_error(given, tau, batch_dims=1).max() < EXACT
@@ -66,15 +66,15 @@ def test_a_free_joint_has_no_motor():
     assert sysid.torque.parameter_names(model, ALL) == sysid.torque.parameter_names(model)
     assert joint_coordinates(model).size == 0
     q, v, a = motions(model, 2)
-    assert sysid.torque.observation_matrix(model, q, v, a, joint_terms=ALL).shape == (2, 6, 10)
+    assert sysid.torque.regressor(model, q, v, a, joint_terms=ALL).shape == (2, 6, 10)
 
 
 def test_rows_by_name_and_place():
     model = robot("small").model
     q, v, a = motions(model, 3)
-    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.regressor(model, q, v, a))
     for rows, want in [(["ball", 0], [2, 3, 4, 0]), (slice(1, 3), [1, 2]), ([4], [4])]:
-        part = sysid.torque.observation_matrix(model, q, v, a, rows=rows)
+        part = sysid.torque.regressor(model, q, v, a, rows=rows)
         np.testing.assert_array_equal(part, W[:, want])
     np.testing.assert_array_equal(coordinate_rows(model, None), np.arange(5))
 
@@ -86,7 +86,7 @@ def test_the_2R_arm_of_the_textbook():
     q, v, a = fourier(oracle, np.arange(1000) / 100)
     base = sysid.torque.base_parameters(model, q, v, a)
     assert base.rank == 6
-    W = np.asarray(sysid.torque.observation_matrix(model, q, v, a))
+    W = np.asarray(sysid.torque.regressor(model, q, v, a))
     names = [f"link{k}.{x}" for k, x in ((1, "Izz"), (2, "Izz"), (2, "hx"), (2, "hy"))]
     names += ["link1.hx", "link1.hy"]  # p1 to p6 of the oracle
     kept = [base.names[k] for k in base.kept]
@@ -138,7 +138,7 @@ def test_pinocchio():
         pin.computeJointTorqueRegressor(theirs, data, *x).copy()
         for x in zip(there, v, a, strict=True)
     ]
-    W = sysid.torque.observation_matrix(model, q, v, a)
+    W = sysid.torque.regressor(model, q, v, a)
     assert relative_error(W, np.stack(want), batch_dims=1).max() < EXACT
 
 
@@ -159,7 +159,7 @@ def test_ten_seconds_at_800_hertz_of_12_joints_take_a_second_or_two():
     )
     model = rb.load(f"<mujoco><worldbody>{text}{'</body>' * 12}</worldbody></mujoco>")
     xs = [jnp.asarray(x) for x in motions(model, 8000)]
-    run = functools.partial(sysid.torque.observation_matrix, model, joint_terms=ALL)
+    run = functools.partial(sysid.torque.regressor, model, joint_terms=ALL)
     run(*xs).block_until_ready()
     start = time.process_time()
     run(*xs).block_until_ready()

@@ -34,7 +34,7 @@ def run(name, zeros=(0.0, 0.0), seed=0, rate=250.0, seconds=6.0):
     A, phase = rng.uniform(0.2, 0.6, (3, 2)), rng.uniform(0, 6, (3, 2))
     angle = w * t[:, None, None] + phase
     q, v, a = ((A * x).sum(1) for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))
-    W = sysid.torque.observation_matrix(
+    W = sysid.torque.regressor(
         MODEL, q, v, a, joint_terms=TERMS, smoothing=SMOOTHING, tau=np.zeros_like(q)
     )
     rest = np.asarray(W, float) @ truth()
@@ -106,7 +106,7 @@ def test_zeros_and_parameters_together():
 def test_zeros_of_a_run_that_was_not_fitted():
     """From its first three seconds."""
     r = rows("c", (0.02, 0.03), 5)
-    z = sysid.torque.zeros_of(r.segment(end=3.0), truth(), noise=1e-3)
+    z = r.segment(end=3.0).encoder_zeros(truth(), noise=1e-3)
     np.testing.assert_allclose(z, (0.02, 0.03), atol=3e-3)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, read_npz
+from rbjax.sysid import Channel, Recording, read_recording
 from rbjax.sysid.estimators.staged_fit import estimate_weights
 from rbjax.sysid.parameters import nearest_pseudo_inertia
 from rbjax.sysid.simulation.runs import Run
@@ -41,7 +41,7 @@ def test_a_sensor_whose_noise_is_stated_keeps_its_weights():
 
 def test_joints_named_by_an_array_of_a_file(tmp_path):
     np.savez(tmp_path / "run.npz", angle=np.ones((50, 2)), joints=["hip", "knee"])
-    run = read_npz(tmp_path / "run.npz", {"angle": ("q", "joints", "deg")}, rate=100)
+    run = read_recording(tmp_path / "run.npz", {"angle": ("q", "joints", "deg")}, rate=100)
     assert run["q"].names == ("hip", "knee")
     np.testing.assert_allclose(run["q"].values, np.deg2rad(1.0), rtol=1e-15)
 

@@ -1,10 +1,10 @@
 """Recordings of a robot: readers, checks, splits, filters and units."""
 
-from rbjax.sysid.data.filtering import differentiate, low_pass
+from rbjax.sysid.data.filtering import low_pass
 from rbjax.sysid.data.units import in_si
 
 __all__ = [
-    "differentiate", "in_si", "low_pass",
+    "in_si", "low_pass",
 ]  # fmt: skip
 
 

@@ -62,18 +62,20 @@ class Filtered:
     delay: float = 0.0
 
 
-def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
-    """Filter a signal by a zero-phase low-pass filter.
+def low_pass(t: Any, x: Any, cutoff: float, *, derivative: int = 0, order: int = 4) -> Filtered:
+    """Filter a signal by a zero-phase low-pass filter, and differentiate it.
 
     Args:
         t: (samples,) times in s. Uniform samples use a Butterworth filter, others a
             smoothing spline.
         x: (samples,) or (samples, columns) signal, without NaN.
         cutoff: frequency in Hz with an amplitude of 1/sqrt(2); below half the sample rate.
+        derivative: order of the derivative, 0, 1 or 2.
         order: order of one pass of the Butterworth filter.
 
     Returns:
-        `Filtered`: the values, and the delay, bandwidth and gain of the filter.
+        `Filtered`: the values, in units of x per s or s^2 for a derivative, and the delay,
+            bandwidth and gain of the filter.
 
     Raises:
         InputError: wrong shapes, values that are not finite, or a cut-off outside of (0, rate/2).
@@ -84,42 +86,13 @@ def low_pass(t: Any, x: Any, cutoff: float, *, order: int = 4) -> Filtered:
         >>> import numpy as np
         >>> from rbjax.sysid.data import low_pass
         >>> t = np.arange(1000) / 500
-        >>> smooth = low_pass(t, np.sin(2 * np.pi * t), cutoff=20.0)
-        >>> bool(abs(smooth.values - np.sin(2 * np.pi * t))[smooth.settled].max() < 1e-3)
-        True
-    """
-    return differentiate(t, x, cutoff, times=0, order=order)
-
-
-def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int = 4) -> Filtered:
-    """Differentiate a signal once or twice, with a zero-phase low-pass filter.
-
-    Args:
-        t: (samples,) times in s.
-        x: (samples,) or (samples, columns) signal, without NaN.
-        cutoff: cut-off frequency of the filter in Hz; below half the sample rate.
-        times: number of derivatives, 1 or 2. 0 only filters, as `low_pass`.
-        order: order of one pass of the Butterworth filter.
-
-    Returns:
-        `Filtered`, with values in units of x per s or s^2.
-
-    Raises:
-        InputError: wrong shapes, values that are not finite, or a cut-off outside of (0, rate/2).
-
-    Source: Gustafsson 1996; Silverman 1984.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid.data import differentiate
-        >>> t = np.arange(1000) / 500
-        >>> rate = differentiate(t, np.sin(2 * np.pi * t), cutoff=30.0)
+        >>> rate = low_pass(t, np.sin(2 * np.pi * t), cutoff=30.0, derivative=1)
         >>> error = abs(rate.values - 2 * np.pi * np.cos(2 * np.pi * t))[rate.settled]
         >>> bool(error.max() < 1e-3)
         True
     """
-    times = integer("differentiate", "times", times, least=0, most=2)
-    where = "differentiate" if times else "low_pass"
+    where = "low_pass"
+    times = integer(where, "derivative", derivative, least=0, most=2)
     integer(where, "order", order, least=1)
     t, x = _signal(where, t, x)
     steps = np.diff(t)

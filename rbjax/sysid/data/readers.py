@@ -1,4 +1,4 @@
-"""Readers of recordings from csv and npz files.
+"""The reader of recordings from text tables and npz files.
 
 A mapping defines the sensor, joint and unit of each column. Sensors at several rates may share one
 table: a row with blanks in all columns of a sensor has no sample of this sensor.
@@ -18,6 +18,8 @@ from rbjax.arguments import choice, existing_file, instance, real_number
 from rbjax.errors import InputError, RbjaxError, UnknownName
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.data.units import OF_SENSORS, TIME, in_si
+
+WHERE = "read_recording"
 
 
 class Column(NamedTuple):
@@ -43,7 +45,7 @@ class Column(NamedTuple):
     time: str | None = None
 
 
-def read_csv(
+def read_recording(
     path: str | Path,
     columns: Mapping[str, Any],
     *,
@@ -55,21 +57,24 @@ def read_csv(
     comment: str = "#",
     name: str | None = None,
 ) -> Recording:
-    """Read a recording from a text table.
+    """Read a recording from a text table, or from the arrays of a file .npz.
 
-    The header is the first line that contains all requested names. Lines above it and comments are
-    skipped. Blank cells and "nan" are missing samples. Each row must have as many cells as the
-    header.
+    The header of a table is the first line that contains all requested names. Lines above it and
+    comments are skipped. Blank cells and "nan" are missing samples. Each row must have as many
+    cells as the header. An array has shape (samples,) or (samples, columns), with NaN for a missing
+    sample. For several columns `joint` has one name for each, or is the name of an array of names
+    in the file.
 
     Args:
         path: path of the file.
-        columns: name in the header -> `Column`, or its fields as a tuple: ("q", "elbow", "deg").
-        time: name of the clock's column.
+        columns: name in the header, or of an array -> `Column`, or its fields as a tuple: ("q",
+            "elbow", "deg").
+        time: name of the clock's column or array.
         time_unit: unit of the clock.
         rate: sample rate in Hz for a file without a clock. The time is row / rate.
-        delimiter: delimiter between cells. None: detect it.
-        decimal: decimal mark, "." or ",".
-        comment: prefix of lines to skip.
+        delimiter: delimiter between the cells of a table. None: detect it.
+        decimal: decimal mark of a table, "." or ",".
+        comment: prefix of lines of a table to skip.
         name: name of the recording. None: the name of the file.
 
     Returns:
@@ -78,32 +83,43 @@ def read_csv(
     Raises:
         InputError: no such file, a cell that is not a number, or invalid data (`Channel`,
             `Recording`).
-        UnknownName: a name that is not in the header.
+        UnknownName: a name that is not in the file.
 
     Example:
         >>> import pathlib, tempfile
-        >>> from rbjax.sysid import read_csv
+        >>> from rbjax.sysid import read_recording
         >>> path = pathlib.Path(tempfile.mkdtemp(), "run.csv")
         >>> _ = path.write_text("# bench 3\\nms;elbow\\n0;90\\n5;180\\n")
-        >>> run = read_csv(path, {"elbow": ("q", "elbow", "deg")}, time="ms", time_unit="ms")
+        >>> run = read_recording(path, {"elbow": ("q", "elbow", "deg")}, time="ms", time_unit="ms")
         >>> run["q"].t.tolist(), run["q"].values.ravel().round(2).tolist()
         ([0.0, 0.005], [1.57, 3.14])
     """
-    path = existing_file("read_csv", path)
-    wanted = _columns("read_csv", columns)
+    path = existing_file(WHERE, path)
+    wanted = _columns(columns)
     choice("decimal mark", decimal, (".", ","))
     one = isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '\r\n"'
     if not (delimiter is None or one):
         raise InputError(
-            f'read_csv: delimiter is {delimiter!r}, expected one character such as ";", or None'
+            f'{WHERE}: delimiter is {delimiter!r}, expected one character such as ";", or None'
         )
-    instance("read_csv", "comment", comment, str, 'a text such as "#"')
-    clocks = _clocks("read_csv", wanted, time, time_unit, rate)
+    instance(WHERE, "comment", comment, str, 'a text such as "#"')
+    clocks = _clocks(wanted, time, time_unit, rate)
+    if path.suffix == ".npz":
+        table = _arrays(path, wanted, clocks)
+    else:
+        table = _text(path, [*wanted, *sorted(clocks)], delimiter, decimal, comment)
+    return _recording(name or path.stem, table, wanted, time, time_unit, rate)
+
+
+def _text(
+    path: Path, names: Sequence[str], delimiter: str | None, decimal: str, comment: str
+) -> dict[str, np.ndarray]:
+    """Read columns of a text table."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            f"read_csv: {path.name} is not a text file in UTF-8 ({error}), expected a table of text"
+            f"{WHERE}: {path.name} is not a text file in UTF-8 ({error}), expected a table of text"
         ) from error
     lines = [
         (number, line)
@@ -113,51 +129,12 @@ def read_csv(
     try:
         rows = _cells(path, lines, delimiter)
     except csv.Error as error:
-        raise InputError(f"read_csv: {path.name} is not a table of cells: {error}") from error
-    table = _table(path, rows, [*wanted, *sorted(clocks)], decimal)
-    return _recording(name or path.stem, "read_csv", table, wanted, time, time_unit, rate)
+        raise InputError(f"{WHERE}: {path.name} is not a table of cells: {error}") from error
+    return _table(path, rows, names, decimal)
 
 
-def read_npz(
-    path: str | Path,
-    columns: Mapping[str, Any],
-    *,
-    time: str = "t",
-    time_unit: str = "s",
-    rate: float | None = None,
-    name: str | None = None,
-) -> Recording:
-    """Read a recording from the arrays of an npz file.
-
-    Args:
-        path: path of the file.
-        columns: name of an array -> `Column`, or its fields as a tuple. An array has shape
-            (samples,) or (samples, columns). For several columns `joint` has one name for each, or
-            is the name of an array of names in the file. NaN is a missing sample.
-        time: name of the clock's array.
-        time_unit: unit of the clock.
-        rate: sample rate in Hz for a file without a clock. The time of sample k is k / rate.
-        name: name of the recording. None: the name of the file.
-
-    Returns:
-        `Recording`.
-
-    Raises:
-        InputError: no such file, or invalid data (`Channel`, `Recording`).
-        UnknownName: a name that is not in the file.
-
-    Example:
-        >>> import numpy as np, pathlib, tempfile
-        >>> from rbjax.sysid import read_npz
-        >>> path = pathlib.Path(tempfile.mkdtemp(), "run.npz")
-        >>> np.savez(path, angle=np.ones((50, 2)), joints=["hip", "knee"])
-        >>> run = read_npz(path, {"angle": ("q", "joints", "deg")}, rate=100)
-        >>> run["q"].names, run.end
-        (('hip', 'knee'), 0.49)
-    """
-    path = existing_file("read_npz", path)
-    wanted = _columns("read_npz", columns)
-    clocks = _clocks("read_npz", wanted, time, time_unit, rate)
+def _arrays(path: Path, wanted: dict[str, Column], clocks: set[str]) -> dict[str, np.ndarray]:
+    """Read arrays of a file of NumPy. A joint that names an array of names becomes these names."""
     try:
         # `ZipFile` rejects an npy file
         with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:
@@ -171,15 +148,14 @@ def read_npz(
         raise
     except Exception as error:  # a damaged archive may raise anything
         raise InputError(
-            f"read_npz: {path.name} cannot be read ({str(error)[:200]}), expected a file of "
+            f"{WHERE}: {path.name} cannot be read ({str(error)[:200]}), expected a file of "
             "numpy.savez with arrays of numbers; pickled objects are not read"
         ) from error
-    return _recording(name or path.stem, "read_npz", table, wanted, time, time_unit, rate)
+    return table
 
 
 def _recording(
     name: str,
-    where: str,
     table: Mapping[str, np.ndarray],
     wanted: Mapping[str, Column],
     time: str,
@@ -193,7 +169,7 @@ def _recording(
         clocks = {c.time or time for _, c in parts}
         if len(clocks) > 1:
             raise InputError(
-                f"{where}: the columns of {sensor} have the clocks {', '.join(sorted(clocks))}, "
+                f"{WHERE}: the columns of {sensor} have the clocks {', '.join(sorted(clocks))}, "
                 "expected one clock a sensor"
             )
         names: list[str] = []
@@ -205,7 +181,7 @@ def _recording(
                 own = [c.joint] if isinstance(c.joint, str) else list(c.joint)
             if len(own) != count:
                 raise InputError(
-                    f"{where}: {n} has {count} columns, expected {len(own)}, one for each of "
+                    f"{WHERE}: {n} has {count} columns, expected {len(own)}, one for each of "
                     f"{', '.join(own)}"
                 )
             names += own
@@ -213,7 +189,7 @@ def _recording(
         noise: list[Any] = [c.noise for c in each]
         if None in noise and any(sigma is not None for sigma in noise):
             raise InputError(
-                f"{where}: some columns of {sensor} state their noise and "
+                f"{WHERE}: some columns of {sensor} state their noise and "
                 f"{names[noise.index(None)]} does not, expected noise of all columns of a sensor, "
                 "or of none"
             )
@@ -228,18 +204,18 @@ def _recording(
                 [c.sign for c in each], None if None in noise else noise, "nan",
             )  # fmt: skip
         except InputError as error:
-            raise InputError(f"{where}: {name}, sensor {sensor}: {error}") from error
+            raise InputError(f"{WHERE}: {name}, sensor {sensor}: {error}") from error
     return Recording(name, channels)
 
 
-def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
+def _columns(columns: Mapping[str, Any]) -> dict[str, Column]:
     """Check the columns, and convert them to `Column`."""
     example = '{"angle": ("q", "elbow", "deg")}'
     if not isinstance(columns, Mapping) or not columns:
-        raise InputError(f"{where}: columns is {columns!r}, expected a dict such as {example}")
+        raise InputError(f"{WHERE}: columns is {columns!r}, expected a dict such as {example}")
     out = {}
     for n, given in columns.items():
-        at = f"{where}: columns[{n!r}]"
+        at = f"{WHERE}: columns[{n!r}]"
         if not isinstance(given, tuple) or not 1 <= len(given) <= len(Column._fields):
             raise InputError(
                 f"{at} is {given!r}, expected a Column or the fields of one "
@@ -262,14 +238,12 @@ def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
     return out
 
 
-def _clocks(
-    where: str, wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any
-) -> set[str]:
+def _clocks(wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any) -> set[str]:
     """Check time, time_unit and rate, and return the names of the clocks, none if rate is given."""
     if rate is not None:
-        real_number(where, "rate", rate, "a positive number of Hz", above=0.0)
+        real_number(WHERE, "rate", rate, "a positive number of Hz", above=0.0)
         return set()
-    instance(where, "time", time, str, "the name of the clock")
+    instance(WHERE, "time", time, str, "the name of the clock")
     choice("unit of time", time_unit, TIME)
     return {c.time or time for c in wanted.values()}
 
@@ -278,7 +252,7 @@ def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
     """Check an array of a file, and convert it to float."""
     if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
         raise InputError(
-            f"read_npz: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
+            f"{WHERE}: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
             "expected numbers, (samples,) or (samples, columns)"
         )
     return x.astype(float)
@@ -310,7 +284,7 @@ def _table(
     """Parse the numbers in the columns with these names."""
     head = [row for _, row in rows[:20]]
     if not head:
-        raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")
+        raise InputError(f"{WHERE}: {path.name} has no rows, expected a header and numbers")
     at = next((k for k, row in enumerate(head) if set(names) <= set(row)), None)
     if at is None:
         likeliest = max(head, key=lambda row: (len(set(names) & set(row)), -head.index(row)))
@@ -321,15 +295,15 @@ def _table(
     for name in names:
         if header.count(name) > 1:
             raise InputError(
-                f"read_csv: {path.name} has {header.count(name)} columns called {name!r}, expected "
+                f"{WHERE}: {path.name} has {header.count(name)} columns called {name!r}, expected "
                 "different names for the columns that are read"
             )
     if not body:
-        raise InputError(f"read_csv: {path.name} has no rows below its header, expected numbers")
+        raise InputError(f"{WHERE}: {path.name} has no rows below its header, expected numbers")
     for line, row in body:
         if len(row) < len(header) or any(row[len(header) :]):
             raise InputError(
-                f"read_csv: {path.name}, line {line} has {len(row)} cells, expected {len(header)} "
+                f"{WHERE}: {path.name}, line {line} has {len(row)} cells, expected {len(header)} "
                 "as the header has; a decimal comma needs decimal = ',', and a sample that did not "
                 "arrive is a blank cell between delimiters"
             )
@@ -341,7 +315,7 @@ def _table(
                 out[k] = float(row[column].replace(decimal, ".") or "nan")
             except ValueError as error:
                 raise InputError(
-                    f"read_csv: {path.name}, line {line}, column {name}: got {row[column]!r}, "
+                    f"{WHERE}: {path.name}, line {line}, column {name}: got {row[column]!r}, "
                     "expected a number, or a blank cell where no sample arrived"
                 ) from error
     return table

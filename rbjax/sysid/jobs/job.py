@@ -20,7 +20,7 @@ from rbjax.errors import InputError, UnsupportedFeature, listed
 from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model
 from rbjax.sensors import Currents
-from rbjax.sysid.data.readers import Column, read_csv, read_npz
+from rbjax.sysid.data.readers import Column, read_recording
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identification import identify
 from rbjax.sysid.estimators.identified import Identified
@@ -266,20 +266,14 @@ def _read(
 ) -> list[Recording]:
     names = files.get(use, [])
     names = [names] if isinstance(names, str) else names
-    how = {k: files[k] for k in ("time", "time_unit", "rate") if k in files}
-    text = {k: files[k] for k in ("delimiter", "decimal", "comment") if k in files}
-    found = []
+    known = ("time", "time_unit", "rate", "delimiter", "decimal", "comment")
+    how = {k: files[k] for k in known if k in files}
     for name in names:
-        suffix = Path(name).suffix
-        if suffix in (".csv", ".txt"):
-            found.append(read_csv(at / name, wanted, **how, **text))
-        elif suffix == ".npz":
-            found.append(read_npz(at / name, wanted, **how))
-        else:
+        if Path(name).suffix not in (".csv", ".txt", ".npz"):
             raise InputError(
                 f"identify: recording {shorten(name)}, expected a file .csv, .txt or .npz"
             )
-    return found
+    return [read_recording(at / name, wanted, **how) for name in names]
 
 
 def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisation:

@@ -3,20 +3,16 @@
 from rbjax.sysid.parameters.log_cholesky import (
     from_log_cholesky,
     inertial_parameters_of,
-    log_cholesky_parameters,
     log_determinant_divergence,
-    model_log_cholesky,
     nearest_pseudo_inertia,
-    prior_residual,
     pseudo_inertia_of,
     to_log_cholesky,
     with_inertial_parameters,
 )
 
 __all__ = [
-    "from_log_cholesky", "inertial_parameters_of", "log_cholesky_parameters",
-    "log_determinant_divergence", "model_log_cholesky", "nearest_pseudo_inertia", "prior_residual",
-    "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
+    "from_log_cholesky", "inertial_parameters_of", "log_determinant_divergence",
+    "nearest_pseudo_inertia", "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
 ]  # fmt: skip
 
 

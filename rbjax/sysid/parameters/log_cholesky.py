@@ -23,8 +23,6 @@ Wensing & Park, IEEE T-RO 36(3), 2020)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,27 +122,8 @@ def from_log_cholesky(theta: ArrayLike) -> jax.Array:
     return (U[..., :, None, :] * U[..., None, :, :]).sum(-1)
 
 
-@takes(theta="inertial")
 def log_cholesky_parameters(theta: ArrayLike) -> jax.Array:
-    """Compute the inertial parameters phi (..., 10) from log-Cholesky coordinates.
-
-    Args:
-        theta: (..., 10) log-Cholesky coordinates, any real numbers.
-
-    Returns:
-        (..., 10), kg, kg m and kg m^2.
-
-    Raises:
-        InputError: another shape, or values that are not finite.
-
-    Source: Rucker & Wensing 2022, eq. 13.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.sysid.parameters import log_cholesky_parameters
-        >>> log_cholesky_parameters(jnp.zeros(10)).tolist()
-        [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0]
-    """
+    """Compute the inertial parameters phi (..., 10) from log-Cholesky coordinates (..., 10)."""
     return inertial_parameters_of(from_log_cholesky(theta))
 
 
@@ -279,31 +258,12 @@ def with_inertial_parameters(model: Model, pi: ArrayLike) -> Model:
 def model_log_cholesky(model: Model) -> jax.Array:
     """Compute the log-Cholesky coordinates (nb, 10) of a model's bodies.
 
-    Args:
-        model: robot.
-
-    Returns:
-        (nb, 10), no unit.
-
     Raises:
-        InputError: an inertia that is not physically consistent. The message contains the body's
-            name.
-
-    Example:
-        >>> import rbjax as rb
-        >>> from rbjax.sysid.parameters import model_log_cholesky
-        >>> model_log_cholesky(rb.load("double_pendulum")).shape
-        (2, 10)
+        InputError: an inertia that is not physically consistent, with the name of the body.
     """
-    P = pseudo_inertia_of(inertial_parameters(model).reshape(-1, 10))
-    theta = _to_log_cholesky(P)
-    if not isinstance(theta, jax.core.Tracer):
-        _check_bodies(model.body_names, np.asarray(theta))
-    return theta
-
-
-def _check_bodies(names: Sequence[str], theta: np.ndarray) -> None:
-    wrong = [n for n, x in zip(names, theta, strict=True) if not np.isfinite(x).all()]
+    theta = _to_log_cholesky(pseudo_inertia_of(inertial_parameters(model).reshape(-1, 10)))
+    known = np.zeros(theta.shape) if isinstance(theta, jax.core.Tracer) else np.asarray(theta)
+    wrong = [model.body_names[i] for i in np.flatnonzero(~np.isfinite(known).all(1))]
     if wrong:
         raise InputError(
             f"model_log_cholesky: no body has the mass and inertia of {', '.join(wrong)} (its "
@@ -311,6 +271,7 @@ def _check_bodies(names: Sequence[str], theta: np.ndarray) -> None:
             "moments that break the triangle inequality); correct the file, or give it "
             "with_inertial_parameters of `nearest_pseudo_inertia`"
         )
+    return theta
 
 
 parameter_jacobian = jax.jit(jax.vmap(jax.jacfwd(log_cholesky_parameters)))
@@ -347,30 +308,14 @@ def log_determinant_divergence(P: ArrayLike, Q: ArrayLike) -> jax.Array:
     return (r * r).sum(-1)
 
 
-@takes(theta="inertial", prior="inertial")
 def prior_residual(theta: ArrayLike, prior: ArrayLike) -> jax.Array:
     """Compute smooth residuals r (..., 10) with |r|^2 = d(P(theta)||P(prior)), for least squares.
 
         r = (B_ij for i < j, sign(x) sqrt(e^(2x) - 1 - 2x)),   B = V^-1 U,  B_ii = e^x,
         with the upper factors P = U U^T and Q = V V^T
 
-    Args:
-        theta: (..., 10) log-Cholesky coordinates.
-        prior: (..., 10) log-Cholesky coordinates of the CAD model.
-
-    Returns:
-        (..., 10), no unit.
-
-    Raises:
-        InputError: another shape, or values that are not finite.
-
-    Source: the divergence of Lee, Wensing & Park 2020, in the coordinates of Rucker & Wensing 2022.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.sysid.parameters import prior_residual
-        >>> prior_residual(jnp.zeros(10), jnp.zeros(10)).tolist()
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    theta and prior are (..., 10) log-Cholesky coordinates. Source: the divergence of Lee, Wensing &
+    Park 2020, in the coordinates of Rucker & Wensing 2022.
     """
     theta, prior = jnp.broadcast_arrays(theta, prior)
     B = jax.scipy.linalg.solve_triangular(upper_factor(prior), upper_factor(theta))

@@ -31,7 +31,7 @@ from rbjax.sysid.parameters.unknowns import Inertia, Unknown
 from rbjax.sysid.simulation.setup import PD, Setup
 from rbjax.sysid.statistics.rank import combinations
 from rbjax.sysid.torque.motions import random_motions
-from rbjax.sysid.torque.regressors import observation_matrix
+from rbjax.sysid.torque.regressors import regressor
 
 #: force elements that act on each joint as a function of its own q and v
 BY_JOINT = (JointFriction, JointLimits)
@@ -214,7 +214,7 @@ def base_unknowns(setup: Setup, unknowns: Unknowns) -> tuple[np.ndarray, np.ndar
     samples = 20 + 2 * n // min(model.nv, 6)
     drawn: Any = random_motions(model, samples)
     with compile_time_constants():
-        Y = np.asarray(observation_matrix(model, *drawn))
+        Y = np.asarray(regressor(model, *drawn))
     Y = Y.reshape(samples * model.nv, -1)
     of_armatures = (drawn[2][:, :, None] * np.eye(model.nv)).reshape(len(Y), -1)
     columns: list[np.ndarray] = []

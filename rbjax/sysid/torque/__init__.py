@@ -1,13 +1,11 @@
 """Identification from torques, which are linear in the inertial parameters."""
 
 from rbjax.sysid.torque.consistency import consistent
-from rbjax.sysid.torque.encoder_zeros import regress_with_zeros, zeros_of
-from rbjax.sysid.torque.motions import random_motions
+from rbjax.sysid.torque.encoder_zeros import regress_with_zeros
 from rbjax.sysid.torque.regression import regress
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
     base_parameters,
-    observation_matrix,
     parameter_names,
     parameter_values,
     regressor,
@@ -16,9 +14,8 @@ from rbjax.sysid.torque.rows import torque_rows
 from rbjax.sysid.torque.selection import select
 
 __all__ = [
-    "JOINT_TERMS", "base_parameters", "consistent", "observation_matrix", "parameter_names",
-    "parameter_values", "random_motions", "regress", "regress_with_zeros", "regressor", "select",
-    "torque_rows", "zeros_of",
+    "JOINT_TERMS", "base_parameters", "consistent", "parameter_names", "parameter_values",
+    "regress", "regress_with_zeros", "regressor", "select", "torque_rows",
 ]  # fmt: skip
 
 

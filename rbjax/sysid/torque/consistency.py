@@ -155,10 +155,10 @@ def consistent(
     Source: Rucker & Wensing 2022; Lee, Wensing & Park 2020.
 
     Example:
-        >>> import jax, rbjax as rb
-        >>> from rbjax.sysid.torque import consistent, observation_matrix, random_motions
+        >>> import numpy as np, rbjax as rb
+        >>> from rbjax.sysid.torque import consistent, regressor
         >>> model = rb.load("double_pendulum")
-        >>> W = observation_matrix(model, *random_motions(model, 50))
+        >>> W = regressor(model, *np.random.default_rng(0).normal(size=(3, 50, 2)))
         >>> heavier = model.replace(bodies=model.bodies.replace(mass=1.2 * model.bodies.mass))
         >>> found = consistent(model, W, W @ rb.inertial_parameters(heavier), noise=0.01)
         >>> found.success, bool((found.model.bodies.mass > 0).all())

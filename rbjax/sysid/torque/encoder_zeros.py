@@ -90,7 +90,7 @@ def regress_with_zeros(
         >>> from rbjax.sysid.torque import regress_with_zeros, torque_rows
         >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
         >>> q, a = np.sin(3 * t)[:, None], -9 * np.sin(3 * t)[:, None]
-        >>> W = rb.sysid.torque.observation_matrix(model, q, 3 * np.cos(3 * t)[:, None], a)
+        >>> W = rb.sysid.torque.regressor(model, q, 3 * np.cos(3 * t)[:, None], a)
         >>> tau = np.asarray(W @ rb.inertial_parameters(model))
         >>> run = Recording("swing", {"q": Channel(t, q - 0.03), "tau": Channel(t, tau)})
         >>> rows = torque_rows(model, run, 5.0).only(["rod.hz", "rod.Iyy"])  # no offset centre
@@ -145,46 +145,6 @@ def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> t
     priors = np.zeros((runs, k, blocks[0].shape[2]))
     priors[:, :, -runs * k :] = np.eye(runs * k).reshape(runs, k, -1)
     return np.concatenate([*blocks, priors]), -zeros
-
-
-def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: float = 0.05) -> Array:
-    """Estimate the encoder zeros (nv,) of a recording that was not fitted, for given parameters.
-
-    z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2, by linear least squares.
-
-    Args:
-        rows: equations of the recording, or of its first seconds.
-        parameters: (p,) parameters pi.
-        noise: s, the standard deviation of the torques, one number or (nv,).
-        spread: w, the standard deviation of the zeros in rad or m.
-
-    Returns:
-        (nv,) zeros in rad or m.
-
-    Raises:
-        InputError: not `TorqueRows`, parameters of another shape, or a spread that is not above
-            zero.
-
-    Example:
-        >>> import numpy as np, rbjax as rb
-        >>> from rbjax.sysid import Channel, Recording
-        >>> from rbjax.sysid.torque import torque_rows, zeros_of
-        >>> model, t = rb.load("pendulum"), np.arange(0.0, 4.0, 0.002)
-        >>> still = Recording("still", {"q": Channel(t, 0 * t), "tau": Channel(t, 0 * t)})
-        >>> zeros_of(torque_rows(model, still, 5.0), rb.inertial_parameters(model)).tolist()
-        [0.0]
-    """
-    where = "zeros_of"
-    (rows,) = _checked(where, [rows])
-    real_number(where, "spread", spread, "a positive angle or length", above=0.0)
-    parameters = _parameters(where, "parameters", parameters, len(rows.names))
-    sd = positive_numbers(where, "noise", noise, rows.tau.shape[1], "torque")
-    J = np.einsum("nkpz,p->nkz", rows.slopes, parameters) / sd[:, None]
-    off = rows.residual(parameters) / sd
-    n = J.shape[-1]
-    J = np.concatenate([J.reshape(-1, n), np.eye(n) / spread])
-    off = np.concatenate([off.ravel(), -rows.zeros / spread])
-    return rows.zeros + np.linalg.lstsq(J, off, rcond=None)[0]
 
 
 def _parameters(where: str, name: str, given: Any, p: int) -> Array:

@@ -16,24 +16,6 @@ def random_motions(
 
     Coordinates are uniform within 3 (rad, m) of the default, and attitudes are uniform. Velocities
     and accelerations are normal with standard deviation 2.
-
-    Args:
-        model: robot.
-        samples: number of samples.
-        seed: of the random numbers.
-
-    Returns:
-        q (samples, nq), m and rad; v and a (samples, nv), SI units.
-
-    Raises:
-        InputError: not a model, or a number of samples below 1.
-
-    Example:
-        >>> import rbjax as rb
-        >>> from rbjax.sysid.torque import random_motions
-        >>> q, v, a = random_motions(rb.load("free_body"), 5)
-        >>> q.shape, a.shape
-        ((5, 7), (5, 6))
     """
     check_model("random_motions", model)
     integer("random_motions", "samples", samples, least=1)

@@ -31,7 +31,7 @@ import numpy as np
 
 from rbjax.arguments import ArrayLike, choice, real_number
 from rbjax.dynamics import inertial_parameters, inertial_regressor
-from rbjax.dynamics.arguments import SHAPES, check_array, check_model, check_moves, shape_of
+from rbjax.dynamics.arguments import check_arrays, check_model, check_moves, shape_of
 from rbjax.errors import InputError
 from rbjax.flexible import (
     elastic_names,
@@ -69,48 +69,66 @@ def regressor(
     v: ArrayLike,
     a: ArrayLike,
     *,
+    rows: Sequence[int | str] | slice | None = None,
     joint_terms: Sequence[str] = (),
     smoothing: float = 0.0,
     tau: ArrayLike | None = None,
 ) -> jax.Array:
-    """Compute the regressor Y(q, v, a) (nv, p) with tau = Y pi.
+    """Compute the regressor Y(q, v, a) (nv, p) with tau = Y pi, or those of n samples.
+
+    The regressors (n, rows, p) of the samples of a motion are its observation matrix W.
 
     Args:
         model: robot. Only its kinematics and gravity are used.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-        a: (nv,) acceleration.
+        q: (nq,) configuration, or (n, nq).
+        v: (nv,) velocity, or (n, nv).
+        a: (nv,) acceleration, or (n, nv).
+        rows: measured torques, as joint names or indices of v. None: all.
         joint_terms: names from "armature", "viscous", "coulomb", "bias", "gear_loss". Each term
             adds one column for every joint coordinate, except for free joints and beams.
         smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
             as in a real drive. If v_0 is larger than in the real drive, the estimated viscous
             friction is too small. For simulated data use the smoothing of the simulated friction.
-        tau: (nv,) measured torques, required by "gear_loss".
+        tau: (nv,) or (n, nv) measured torques, required by "gear_loss".
 
     Returns:
-        (nv, 10 nb + columns of beams and joints), in the order of `parameter_names`.
+        (rows, 10 nb + columns of beams and joints), in the order of `parameter_names`; or
+            (n, rows, ...).
 
     Raises:
-        UnknownName: an unknown joint term.
-        InputError: wrong arrays, a negative smoothing, or "gear_loss" without tau.
+        UnknownName: an unknown joint term or joint.
+        InputError: wrong arrays, an invalid row, a negative smoothing, or "gear_loss" without tau.
         ModelError: a flexible link that is not a beam; its inertia is not linear in its numbers.
 
-    Source: Khalil & Dombre, ch. 12.
+    Source: Khalil & Dombre, ch. 12; Swevers, Verdonck & De Schutter 2007, eq. 12.
 
     Example:
-        >>> import rbjax as rb
+        >>> import rbjax as rb, jax.numpy as jnp
         >>> from rbjax.sysid.torque import regressor
         >>> model = rb.load("double_pendulum")
-        >>> s = model.default_state()
-        >>> regressor(model, s.q, s.v, s.v, joint_terms=["viscous"]).shape
+        >>> q, v, a = jnp.linspace(0.0, 1.0, 30).reshape(3, 5, 2)
+        >>> regressor(model, q[0], v[0], a[0], joint_terms=["viscous"]).shape
         (2, 22)
+        >>> regressor(model, q, v, a, rows=[1]).shape
+        (5, 1, 20)
     """
-    _check_terms("regressor", joint_terms, smoothing)
+    where = "regressor"
+    check_model(where, model)
+    _check_terms(where, joint_terms, smoothing)
     if "gear_loss" in joint_terms and tau is None:
         raise InputError('regressor: "gear_loss" without tau, expected the measured torques (nv,)')
-    if tau is not None:
-        check_model("regressor", model)
-        tau = check_array("regressor", "tau", tau, (model.nv,))
+    samples = shape_of(where, "q", q)[:-1][:1]
+    given = {"q": q, "v": v, "a": a} | ({} if tau is None else {"tau": tau})
+    arrays = check_arrays(where, model, given, samples)
+    one = functools.partial(_regressor, model, tuple(joint_terms), smoothing)
+    Y = (jax.vmap(one) if samples else one)(arrays)
+    return Y if rows is None else Y[..., coordinate_rows(model, rows), :]
+
+
+def _regressor(
+    model: Model, joint_terms: tuple[str, ...], smoothing: float, arrays: dict[str, jax.Array]
+) -> jax.Array:
+    q, v, a = arrays["q"], arrays["v"], arrays["a"]
     if _has_flexible_links(model):
         Y = jnp.concatenate([section_regressor(model, q, v, a), elastic_regressor(model, q, v)], 1)
     else:
@@ -118,66 +136,10 @@ def regressor(
     if not joint_terms:
         return Y
     at = joint_coordinates(model)
-    v, a, tau = (jnp.asarray(x, Y.dtype)[at] for x in (v, a, a if tau is None else tau))
+    v, a, tau = (jnp.asarray(x, Y.dtype)[at] for x in (v, a, arrays.get("tau", a)))
     chosen = jnp.zeros((model.nv, at.size), Y.dtype).at[at, np.arange(at.size)].set(1.0)
     columns = [chosen * JOINT_TERMS[term](v, a, tau, smoothing) for term in joint_terms]
     return jnp.concatenate([fusion_barrier(Y), *columns], 1)
-
-
-def observation_matrix(
-    model: Model,
-    q: ArrayLike,
-    v: ArrayLike,
-    a: ArrayLike,
-    *,
-    rows: Sequence[int | str] | slice | None = None,
-    joint_terms: Sequence[str] = (),
-    smoothing: float = 0.0,
-    tau: ArrayLike | None = None,
-) -> jax.Array:
-    """Compute the observation matrix W (n, rows, p): the regressor at n samples of a motion.
-
-    Args:
-        model: robot.
-        q: (n, nq) configurations.
-        v: (n, nv) velocities.
-        a: (n, nv) accelerations.
-        rows: measured torques, as joint names or indices of v. None: all.
-        joint_terms: names of joint terms, as for `regressor`.
-        smoothing: width of the friction step in rad/s or m/s, as for `regressor`.
-        tau: (n, nv) measured torques, required by "gear_loss".
-
-    Returns:
-        (n, rows, p) observation matrix.
-
-    Raises:
-        UnknownName: an unknown joint term or joint.
-        InputError: wrong arrays, an invalid row, or "gear_loss" without tau.
-
-    Source: Swevers, Verdonck & De Schutter 2007, eq. 12.
-
-    Example:
-        >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.sysid.torque import observation_matrix
-        >>> model = rb.load("double_pendulum")
-        >>> q, v, a = jnp.linspace(0.0, 1.0, 30).reshape(3, 5, 2)
-        >>> observation_matrix(model, q, v, a, rows=[1]).shape
-        (5, 1, 20)
-    """
-    where = "observation_matrix"
-    check_model(where, model)
-    n = (*shape_of(where, "q", q), 1)[0]
-    q, v, a = (
-        check_array(where, name, x, (n, *SHAPES[name](model)), fix=": one row a sample")
-        for name, x in (("q", q), ("v", v), ("a", a))
-    )
-    each = functools.partial(regressor, model, joint_terms=joint_terms, smoothing=smoothing)
-    if tau is None:
-        W = jax.vmap(each)(q, v, a)
-    else:
-        tau = check_array(where, "tau", tau, (n, model.nv), fix=": one row a sample")
-        W = jax.vmap(lambda q, v, a, tau: each(q, v, a, tau=tau))(q, v, a, tau)
-    return W if rows is None else W[:, coordinate_rows(model, rows)]
 
 
 def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str, ...]:
@@ -362,5 +324,5 @@ def base_parameters(
         q, v, a = map(jnp.asarray, random_motions(model, samples, seed=seed))
     if q is None or v is None or a is None:
         raise InputError(f"{where}: expected all of q, v and a, or none for random motions")
-    W = observation_matrix(model, q, v, a, rows=rows, joint_terms=joint_terms, smoothing=smoothing)
+    W = regressor(model, q, v, a, rows=rows, joint_terms=joint_terms, smoothing=smoothing)
     return combinations(W, names, tolerance=tolerance, first=first)

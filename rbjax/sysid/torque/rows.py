@@ -22,19 +22,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, instance, real_array
+from rbjax.arguments import choice, instance, real_array, real_number
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.model import Model
-from rbjax.sysid.data.filtering import check_cutoff, differentiate, low_pass
+from rbjax.sysid.arguments import positive_numbers
+from rbjax.sysid.data.filtering import check_cutoff, low_pass
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.statistics.precision import cast, in_double
-from rbjax.sysid.torque.regressors import (
-    JOINT_TERMS,
-    observation_matrix,
-    parameter_names,
-)
+from rbjax.sysid.torque.regressors import JOINT_TERMS, parameter_names, regressor
 
 Array = np.ndarray
 BAND = 0.8  # ratio of the cut-off to the Nyquist frequency of the decimated equations
@@ -81,6 +78,32 @@ class TorqueRows:
         """Compute the residual tau - W pi (N, nv), in N m, for parameters pi (p,)."""
         W = self.W if zeros is None else self.at(zeros)
         return self.tau - W @ np.asarray(parameters, float)
+
+    def encoder_zeros(self, parameters: Any, *, noise: Any = 1.0, spread: float = 0.05) -> Array:
+        """Estimate the encoder zeros (nv,) for given parameters, by linear least squares.
+
+        z = argmin |(tau - W(z) pi) / s|^2 + |z|^2 / w^2. Use it for a recording that was not
+        fitted, or its first seconds.
+
+        Args:
+            parameters: (p,) parameters pi.
+            noise: s, the standard deviation of the torques, one number or (nv,).
+            spread: w, the standard deviation of the zeros in rad or m.
+        """
+        where = "encoder_zeros"
+        real_number(where, "spread", spread, "a positive angle or length", above=0.0)
+        parameters = real_array(where, "parameters", parameters)
+        if parameters.shape != (len(self.names),):
+            raise InputError(
+                f"{where}: parameters has shape {parameters.shape}, expected ({len(self.names)},)"
+            )
+        sd = positive_numbers(where, "noise", noise, self.tau.shape[1], "torque")
+        J = np.einsum("nkpz,p->nkz", self.slopes, parameters) / sd[:, None]
+        off = self.residual(parameters) / sd
+        n = J.shape[-1]
+        J = np.concatenate([J.reshape(-1, n), np.eye(n) / spread])
+        off = np.concatenate([off.ravel(), -self.zeros / spread])
+        return self.zeros + np.linalg.lstsq(J, off, rcond=None)[0]
 
     def only(self, names: Sequence[str]) -> TorqueRows:
         """Select columns by name, for a model with fewer terms."""
@@ -182,7 +205,8 @@ def torque_rows(
         )
     signals = []
     for s in usable:
-        moved = [differentiate(t[s], both["q"].values[s], smooth, times=k).values for k in range(3)]
+        q = both["q"].values[s]
+        moved = [low_pass(t[s], q, smooth, derivative=k).values for k in range(3)]
         signals.append([*moved, low_pass(t[s], both["tau"].values[s], smooth).values])
     together = [np.concatenate(x) for x in zip(*signals, strict=True)]
     ends = np.cumsum([0, *(s.stop - s.start for s in usable)])
@@ -233,9 +257,7 @@ def _matrix(
     smoothing: float, functions: Any,
 ) -> jax.Array:  # fmt: skip
     q, v, a, tau = motion
-    return observation_matrix(
-        model, q + zeros, v, a, joint_terms=terms, smoothing=smoothing, tau=tau
-    )
+    return regressor(model, q + zeros, v, a, joint_terms=terms, smoothing=smoothing, tau=tau)
 
 
 @_static
@@ -291,6 +313,6 @@ def _disturbed(h: float, cutoff: float, smooth: float) -> int:
     """Compute the number of samples at each end that the filters distort."""
     t = h * np.arange(8)
     return max(
-        differentiate(t, np.zeros(8), smooth, times=2).settled.start,
+        low_pass(t, np.zeros(8), smooth, derivative=2).settled.start,
         low_pass(t, np.zeros(8), cutoff).settled.start,
     )
