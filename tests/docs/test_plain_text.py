@@ -1,6 +1,6 @@
 """Docstrings as Markdown: plain text is no markup, names are links, examples stay."""
 
-from docs.generate.markdown.plain_text import escaped, linked, markdown
+from docs.generate.markdown.plain_text import escaped, linked, markdown, with_fields
 
 LINKS = {"rbjax.load": "rbjax.load", "rbjax.dynamics.jacobian": "rbjax.jacobian"}
 
@@ -51,3 +51,12 @@ def test_a_session_in_the_text_is_fenced():
     assert markdown(text, {}).split("\n") == [
         "Compute.", "", "As in", "", "```pycon", ">>> [1][0]", "1", "```", "", r"More \[x\].",
     ]  # fmt: skip
+
+
+def test_fields_of_a_class_get_a_heading():
+    text = "A regulator.\n\nK, P: matrices.\nerror: a bound\n    of P.\n\nSource: a book."
+    assert with_fields(text, {"K", "P", "error"}) == (
+        "A regulator.\n\nFields:\n    K, P: matrices.\n    error: a bound\n        of P.\n\n"
+        "Source: a book."
+    )
+    assert with_fields(text, {"K"}) == text

@@ -12,7 +12,7 @@ from typing import Any
 
 from griffe import Class, Extension, Function, Parameter, ParameterKind, Parameters
 
-from docs.generate.markdown.plain_text import markdown
+from docs.generate.markdown.plain_text import markdown, with_fields
 
 #: written by `python -m docs.generate`: a name as text, and the path under which it is described
 LINKS = Path(__file__).parents[3] / ".cache" / "links.json"
@@ -30,6 +30,8 @@ class Docstrings(Extension):
     def on_object(self, *, obj: Any, **rest: Any) -> None:
         if obj.is_alias:
             return
+        if obj.docstring is not None and isinstance(obj, Class):
+            obj.docstring.value = with_fields(obj.docstring.value, obj.members)
         if obj.docstring is not None:
             obj.docstring.value = markdown(obj.docstring.value, self.links)
         found = self.signatures.get(obj.path)

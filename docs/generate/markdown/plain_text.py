@@ -7,6 +7,7 @@ Names of the reference in backticks become links.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 #: headings of sections that griffe knows by other names
 SECTIONS = {"Example:": "Examples:", "Fields:": "Attributes:"}
@@ -37,6 +38,19 @@ def linked(text: str, links: dict[str, str]) -> str:
         return f"[{found[0]}][{links[name]}]" if name in links else found[0]
 
     return re.sub(r"(?<![\[`])`((?:rb|rbjax)\.[\w.]+)(?:\([^`)]*\))?`(?![\]`])", link, text)
+
+
+def with_fields(text: str, names: Collection[str]) -> str:
+    """The docstring of a class whose paragraph "name: meaning" of its fields has a heading."""
+    paragraphs = text.split("\n\n")
+    for k, paragraph in enumerate(paragraphs):
+        lines = paragraph.split("\n")
+        entries = [re.match(r"(\w+(?:, \w+)*): ", line) for line in lines]
+        found = [name for entry in entries if entry for name in entry[1].split(", ")]
+        rest = (line for line, entry in zip(lines, entries, strict=True) if not entry)
+        if found and set(found) <= set(names) and all(x.startswith("    ") for x in rest):
+            paragraphs[k] = "\n".join(["Fields:", *(f"    {line}" for line in lines)])
+    return "\n\n".join(paragraphs)
 
 
 def markdown(text: str, links: dict[str, str]) -> str:
