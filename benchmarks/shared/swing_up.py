@@ -26,7 +26,7 @@ NEAR, GAP, GAP_F32 = 0.01, 1e-8, 1e-4
 ATTEMPTS = 8
 ITERATIONS = 300  # of DDP
 C = rb.control
-METHOD = C.SampledStart(C.Sampling("mppi", samples=512, points=12, cooling=0.93), rounds=20)
+METHOD = C.Sampling("mppi", samples=512, points=12, cooling=0.93, ddp_after=20)
 COLUMNS = ("what", "task", "precision", "starts", "solved", "after each attempt", "median cost")
 COLUMNS += ("seconds", "first call")
 

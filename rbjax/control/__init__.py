@@ -42,7 +42,6 @@ from rbjax.control.optimal import (
     Pose,
     Problem,
     RealTime,
-    SampledStart,
     Sampling,
     Solution,
     Sphere,
@@ -60,8 +59,8 @@ from rbjax.kinematics import Goal, differential_inverse_kinematics, inverse_kine
 
 __all__ = [
     # optimal control
-    "Problem", "Design", "solve", "Solution", "Status", "methods", "Method", "Sampling",
-    "SampledStart", "System", "Equations",
+    "Problem", "Design", "solve", "Solution", "Status", "methods", "Method", "Sampling", "System",
+    "Equations",
     # model predictive control
     "mpc", "TickStatus", "RealTime",
     # costs and constraints

@@ -14,6 +14,15 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 
 
+def check_frame(where: str, site: Any, body: Any) -> None:
+    """Raise InputError unless exactly one of site and body is given, as a string."""
+    if (site is None) == (body is None):
+        got = "neither" if site is None else "both"
+        raise InputError(f"{where}: got {got} of site and body, expected exactly one")
+    if not isinstance(body if site is None else site, str):
+        raise InputError(f"{where}: got site={site!r} and body={body!r}, expected a name")
+
+
 def known_array(x: Any) -> np.ndarray | None:
     """Return x as a NumPy array, or None if it is traced."""
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x, float)

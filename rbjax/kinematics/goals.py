@@ -24,7 +24,7 @@ from rbjax.dynamics.algorithms.kinematics import LinkMotion
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_not_negative, check_rotation
+from rbjax.kinematics.arguments import check_frame, check_not_negative, check_rotation
 from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul
 from rbjax.model import WORLD, Frame, Model, prepare
 from rbjax.model.leaves import site_transform
@@ -73,9 +73,7 @@ class Goal(Record):
         def given(name: str, value: Any, *shape: int) -> Any:
             return None if value is None else check_array("Goal", name, value, shape)
 
-        if (site is None) == (body is None):
-            got = "neither" if site is None else "both"
-            raise InputError(f"Goal: got {got} of site and body, expected exactly one")
+        check_frame("Goal", site, body)
         if position is None and rotation is None and direction is None:
             raise InputError("Goal: nothing to reach; give a position, a rotation or a direction")
         if rotation is not None and direction is not None:
@@ -85,8 +83,6 @@ class Goal(Record):
             )
         if axis is not None and direction is None:
             raise InputError("Goal: got an axis and no direction for it; give direction=")
-        if not isinstance(body if site is None else site, str):
-            raise InputError(f"Goal: got site={site!r} and body={body!r}, expected a name")
         self.site, self.body = site, body
         self.position = given("position", position, 3)
         self.rotation = given("rotation", rotation, 3, 3)

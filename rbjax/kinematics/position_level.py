@@ -36,6 +36,7 @@ from rbjax.dynamics.arguments import (
 )
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_frame
 from rbjax.kinematics.goals import Goal, body_of, errors
 from rbjax.kinematics.joint_ranges import Ranges, random_configurations
 from rbjax.kinematics.restarts import InverseKinematics, search
@@ -144,9 +145,7 @@ def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
             raise InputError(f"{WHERE}: got site or body with goals, which name their own frames")
         return tuple(several)
     frame = {"site": site, "body": body}
-    if (site is None) == (body is None):
-        got = "neither" if site is None else "both"
-        raise InputError(f"{WHERE}: got {got} of site and body, expected exactly one")
+    check_frame(WHERE, site, body)
     if isinstance(target, tuple) and len(target) == 2:
         return (Goal(rotation=target[0], position=target[1], **frame),)
     shape = shape_of(WHERE, "target", target)

@@ -154,7 +154,6 @@ TABLE = {
         "spread": positive(), "cooling": share(), "temperature": positive(), "smoothing": share(),
         "penalty": ["x", -1.0, np.nan],
     }),
-    "SampledStart": (C.SampledStart, {}, {"sampling": [3, "mppi"], "rounds": count()}),
     "mpc": (C.mpc, {"problem": PROBLEM}, {
         "problem": [3, "x", lambda: PROBLEM, lambda t: 3], "method": name(), "iterations": count(),
         "delay": [-1, 1.5, "x"], "patience": [-1, 1.5, "x"], "fallback": function(),

@@ -12,7 +12,6 @@ from rbjax.control import (
     Equations,
     LinearStatus,
     Problem,
-    SampledStart,
     Sampling,
     lqr,
     solve,
@@ -83,7 +82,7 @@ SAMPLING = {name: Sampling(name, **FEW) for name in ("predictive", "mppi", "cros
 METHODS = {name: name for name in (
     "ddp", "exact_ddp", "sqp", "exact_sqp", "hermite_simpson", "gauss_legendre", "radau", "adam",
     "bfgs", "levenberg_marquardt",
-)} | SAMPLING | {"sampled_ddp": SampledStart(Sampling(**FEW), rounds=2)}  # fmt: skip
+)} | SAMPLING | {"sampled_ddp": Sampling(**FEW, ddp_after=2)}  # fmt: skip
 #: outcomes that a method cannot have
 NEVER = {(CONVERGED, name) for name in SAMPLING} | {(STUCK, name) for name in SAMPLING}
 NEVER |= {(FINISHED, name) for name in METHODS if name not in SAMPLING}

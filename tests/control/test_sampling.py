@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.control import Constraint, Control, Cost, Equations, Problem, SampledStart, Sampling
+from rbjax.control import Constraint, Control, Cost, Equations, Problem, Sampling
 from rbjax.control.optimal.shooting.sampling import Draw, control_at, sampled_cost, sampled_motion
 from rbjax.control.status import FINISHED, NOT_FINITE
 
@@ -129,7 +129,7 @@ def test_bounds_that_bind():
 
 @pytest.mark.slow
 def test_ddp_from_a_sampled_start():
-    method = SampledStart(Sampling("mppi", **SMALL), rounds=3)
+    method = Sampling("mppi", **SMALL, ddp_after=3)
     found = rb.control.solve(line(), START, method=method)
     assert found.success and abs(found.cost / best_cost() - 1) < 1e-9
     assert "sampled_ddp" in rb.control.methods()
@@ -215,7 +215,7 @@ def test_ddp_from_samples_obeys_the_seed(dtype):
             line, 5, 0.4, running=[rb.control.Cost(rb.control.Control(), 1e-3)],
             terminal=[valleys], bounds=(-2.0, 2.0),
         )  # fmt: skip
-        method = SampledStart(Sampling("predictive", samples=10, points=1, spread=0.6), rounds=1)
+        method = Sampling("predictive", samples=10, points=1, spread=0.6, ddp_after=1)
         start = jnp.zeros(1)
         ends = [float(rb.control.solve(problem, start, method=method, seed=k).states[-1, 0])
                 for k in (0, 0, 1, 2, 3, 4, 5)]  # fmt: skip

@@ -35,8 +35,9 @@ from rbjax.control.laws.controller import (
 from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, frame_pose, jacobian
 from rbjax.dynamics.algorithms.manifold import difference
-from rbjax.dynamics.arguments import check_array, check_static, shape_of
+from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_frame
 from rbjax.kinematics.goals import Goal, body_of
 from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.model import Model, State
@@ -106,11 +107,7 @@ def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> FrameT
     """Build the task of a frame; raise InputError unless a joint moves the frame."""
     if kind not in KINDS:
         raise InputError(f"{where}: task is {kind!r}, expected one of {', '.join(KINDS)}")
-    if (site is None) == (body is None):
-        got = "neither" if site is None else "both"
-        raise InputError(f"{where}: got {got} of site and body, expected exactly one")
-    check_static(where, "site", site)
-    check_static(where, "body", body)
+    check_frame(where, site, body)
     carrier = body_of(model, Goal(site=site, body=body, position=[0.0, 0.0, 0.0]))
     if carrier < 0 or model.topology.body_links[carrier] < 0:
         raise InputError(f"{where}: no joint moves {site or body!r}, expected one that moves")

@@ -21,13 +21,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag
+from rbjax.arguments import choice, flag
 from rbjax.compiling import compiled
 from rbjax.control.linear.arguments import check_matrices
 from rbjax.control.products import product
 from rbjax.control.status import LinearStatus, first_of, raise_failure
 from rbjax.display import displayed
-from rbjax.errors import UnknownName
 
 #: maximum number of squarings; they resolve a spectral radius of 1 - 1e-15
 SQUARINGS = 56
@@ -86,8 +85,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
         1.0
     """
     A, Q = check_matrices("lyapunov", ("A", A, "nn"), ("Q", Q, "nn"))
-    if method not in METHODS:
-        raise UnknownName("method of lyapunov", method, METHODS)
+    choice("method of lyapunov", method, METHODS)
     found = _lyapunov(A, Q, flag("lyapunov", "discrete", discrete), method)
     raise_failure("lyapunov", found.status)
     return found

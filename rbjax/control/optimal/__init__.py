@@ -12,7 +12,7 @@ from rbjax.control.optimal.problem import Design, Problem
 from rbjax.control.optimal.real_time import RealTime
 from rbjax.control.optimal.receding_horizon import mpc
 from rbjax.control.optimal.registry import Method, methods
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.shooting.sampling import Sampling
 from rbjax.control.optimal.solution import Solution
 from rbjax.control.optimal.solver import solve
 from rbjax.control.optimal.system import Equations, System
@@ -38,9 +38,8 @@ from rbjax.status import Status
 __all__ = [
     "Acceleration", "Capsule", "CenterOfMass", "Clearance", "Configuration", "Constraint",
     "Control", "Cost", "Design", "Effort", "Equations", "FrameVelocity", "HalfSpace", "Jerk",
-    "Method", "Point", "Pose", "Problem", "RealTime", "SampledStart", "Sampling", "Solution",
-    "Sphere", "StateError", "Status", "System", "Term", "TickStatus", "Velocity", "methods", "mpc",
-    "solve",
+    "Method", "Point", "Pose", "Problem", "RealTime", "Sampling", "Solution", "Sphere",
+    "StateError", "Status", "System", "Term", "TickStatus", "Velocity", "methods", "mpc", "solve",
 ]  # fmt: skip
 
 

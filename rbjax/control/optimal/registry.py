@@ -6,9 +6,10 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from rbjax.arguments import choice
 from rbjax.control.optimal.collocation.collocation import solve_collocation
 from rbjax.control.optimal.shooting.ddp import solve_ddp
-from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling, solve_sampling
+from rbjax.control.optimal.shooting.sampling import Sampling, solve_sampled_ddp, solve_sampling
 from rbjax.control.optimal.shooting.single_shooting import (
     adam_search,
     bfgs_search,
@@ -17,7 +18,6 @@ from rbjax.control.optimal.shooting.single_shooting import (
 )
 from rbjax.control.optimal.shooting.sqp import solve_sqp
 from rbjax.display import displayed
-from rbjax.errors import UnknownName
 from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
@@ -87,7 +87,7 @@ METHODS: dict[str, Method] = {
         False,
     ),
     "sampled_ddp": Method(
-        SampledStart(), True, True,
+        functools.partial(solve_sampled_ddp, Sampling(ddp_after=30)), True, True,
         "30 rounds of cross_entropy, then ddp: where ddp depends on the first guess, such as "
         "swing-ups under tight bounds",
     ),
@@ -133,17 +133,14 @@ def methods() -> dict[str, Method]:
 
 
 def method_of(method: Any) -> Method:
-    """Return the method of a name, a `Method`, a `Sampling` or a `SampledStart`."""
+    """Return the method of a name, a `Method` or a `Sampling`."""
     if isinstance(method, Method):
         return method
-    caller = "with the parameters of the caller"
-    if isinstance(method, SampledStart):
-        return Method(method, True, True, caller, True)
     if isinstance(method, Sampling):
-        return Method(functools.partial(solve_sampling, method), True, False, caller, False)
-    if method not in METHODS:
-        raise UnknownName("method of rb.control", method, METHODS)
-    return METHODS[method]
+        ddp = method.ddp_after is not None
+        search = functools.partial(solve_sampled_ddp if ddp else solve_sampling, method)
+        return Method(search, True, ddp, "with the parameters of the caller", ddp)
+    return METHODS[choice("method of rb.control", method, METHODS)]
 
 
 def name_of(method: Any) -> str:

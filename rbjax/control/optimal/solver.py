@@ -142,7 +142,7 @@ def solve(
         problem: `Problem`.
         start: `State` of a model or a wheeled robot, (n,) of `Equations`. Free coordinates of it
             are a first guess.
-        method: a name from `rb.control.methods()`, or a `Sampling` or `SampledStart`.
+        method: a name from `rb.control.methods()`, or a `Sampling`.
         states: a first guess of the states, with a leading axis N + 1, which need not obey the
             dynamics. If None: the start at all knots; or, if ctrl is given, the motion under them
             if it costs less, or if the model has contacts.

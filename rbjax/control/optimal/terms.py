@@ -28,7 +28,13 @@ from rbjax.dynamics.algorithms.frames import frame_pose, frame_velocity
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.kinematics.arguments import check_bound, check_rotation, check_several, known_array
+from rbjax.kinematics.arguments import (
+    check_bound,
+    check_frame,
+    check_rotation,
+    check_several,
+    known_array,
+)
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import box_minus, box_plus
@@ -377,11 +383,3 @@ def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | Non
             raise InputError(
                 f"{where}: {name} has numbers that are not finite, expected finite ones"
             )
-
-
-def check_frame(where: str, site: Any, body: Any) -> None:
-    """Raise InputError unless exactly one of site and body is given, as a string."""
-    if (site is None) == (body is None):
-        raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
-    if not isinstance(body if site is None else site, str):
-        raise InputError(f"{where}: got site={site!r} and body={body!r}, expected a name")

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer, real_number
+from rbjax.arguments import choice, integer, real_number
 from rbjax.compiler import threads
 from rbjax.control.optimal.objective import (
     constraint_violations,
@@ -38,7 +38,7 @@ from rbjax.control.optimal.shooting.ddp import solve_ddp
 from rbjax.control.optimal.shooting.expansion import largest_gap
 from rbjax.control.optimal.solution import SearchResult, SolveOptions
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.lanes.arrays import select
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
@@ -60,6 +60,7 @@ class Sampling:
     temperature: of MPPI.
     smoothing: fraction of the old deviation in the update of the cross-entropy method.
     penalty: of constraint violations.
+    ddp_after: number of rounds after which DDP continues from the best motion; None without DDP.
 
     Example:
         >>> import jax.numpy as jnp
@@ -81,12 +82,14 @@ class Sampling:
     temperature: float = 0.5
     smoothing: float = 0.2
     penalty: float = 1e4
+    ddp_after: int | None = None
 
     def __post_init__(self) -> None:
         for what, names in (("update", UPDATES), ("spline", SPLINES)):
-            if getattr(self, what) not in names:
-                raise UnknownName(f"{what} of Sampling", getattr(self, what), names)
+            choice(f"{what} of Sampling", getattr(self, what), names)
         integer("Sampling", "samples", self.samples, least=10)
+        if self.ddp_after is not None:
+            integer("Sampling", "ddp_after", self.ddp_after, least=1)
         integer("Sampling", "points", self.points, least=1)
         for what, low, high in (
             ("cooling", 0.0, 1.0), ("smoothing", 0.0, 1.0), ("spread", 1e-12, 1e12),
@@ -98,34 +101,17 @@ class Sampling:
             real_number("Sampling", what, value, least=low, most=high, traced=True)
 
 
-@dataclasses.dataclass(frozen=True)
-class SampledStart:
-    """DDP from a motion that a sampling method computes.
-
-    sampling: a `Sampling`.
-    rounds: number of its rounds before DDP.
-    """
-
-    sampling: Any = Sampling()  # checked below
-    rounds: int = 30
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.sampling, Sampling):
-            got = type(self.sampling).__name__
-            raise InputError(f"SampledStart: sampling is {got}, expected an rb.control.Sampling")
-        integer("SampledStart", "rounds", self.rounds, least=1)
-
-    def __call__(
-        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: SolveOptions,
-        history: int,
-    ) -> SearchResult:  # fmt: skip
-        """Run the sampling method, then DDP from its result."""
-        few = options.replace(rule=options.rule._replace(iterations=jnp.asarray(self.rounds)))
-        found = solve_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
-        good = jnp.isfinite(found.cost)
-        pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
-        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrl), (knots, ctrls))
-        return solve_ddp(problem, start, knots, ctrls, options, history)
+def solve_sampled_ddp(
+    how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+    options: SolveOptions, history: int,
+) -> SearchResult:  # fmt: skip
+    """Run the rounds of a sampling method, then DDP from its result."""
+    few = options.replace(rule=options.rule._replace(iterations=jnp.asarray(how.ddp_after)))
+    found = solve_sampling(how, problem, start, knots, ctrls, few, 1)
+    good = jnp.isfinite(found.cost)
+    pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
+    knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrl), (knots, ctrls))
+    return solve_ddp(problem, start, knots, ctrls, options, history)
 
 
 class Draw(NamedTuple):
