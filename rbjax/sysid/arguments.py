@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_array, real_number, shown
+from rbjax.arguments import choice, real_array, real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, listed
 from rbjax.sysid.data.recording import Recording
@@ -64,8 +64,7 @@ def check_options(
 
     lengths: by name, in s; None is valid.
     """
-    if not (isinstance(loss, str) and loss in ("squares", "huber")):
-        raise InputError(f'{where}: loss is {loss!r}, expected "squares" or "huber"')
+    choice(f"loss of {where}", loss, ("squares", "huber"))
     if not (estimate_initial_state is None or isinstance(estimate_initial_state, bool)):
         raise InputError(
             f"{where}: estimate_initial_state is {estimate_initial_state!r}, expected True, False "

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.errors import InputError
+from rbjax.errors import InputError, UnknownName
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, squares
 from rbjax.sysid.simulation import objective
 from rbjax.sysid.simulation.objective import _keep, faster
@@ -98,7 +98,7 @@ def test_the_mode_is_that_of_the_shape():
 
 
 def test_arguments():
-    with pytest.raises(InputError, match="mode is 'both'"):
+    with pytest.raises(UnknownName, match="mode of squares 'both'"):
         squares(MODEL, RUNS, SOUGHT, mode="both")
     with pytest.raises(InputError, match="memory is -1"):
         squares(MODEL, RUNS, SOUGHT, memory=-1)

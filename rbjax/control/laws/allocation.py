@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import ArrayLike
+from rbjax.arguments import ArrayLike, choice
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_array, check_arrays, check_model
 from rbjax.errors import InputError
@@ -200,8 +200,7 @@ def check_actuators(where: str, model: Model) -> None:
 def check_driven(where: str, model: Model, undriven: str) -> None:
     """Raise InputError if no actuator drives some dof, unless `undriven` is "least_squares". Models
     with traced parameters are not checked."""
-    if undriven not in UNDRIVEN:
-        raise InputError(f"{where}: undriven is {undriven!r}, expected one of {UNDRIVEN}")
+    choice(f"undriven of {where}", undriven, UNDRIVEN)
     check_actuators(where, model)
     known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
     if undriven == "least_squares" or not known:

@@ -220,10 +220,3 @@ def balancing_forces(model: Model, state: State, compensate: str) -> jax.Array:
     if compensate == "rest":
         return holding_forces(model, state)
     return actuator_forces(model, state, jnp.zeros_like(state.v))
-
-
-def check_compensate(where: str, value: Any) -> None:
-    if value not in COMPENSATE:
-        raise InputError(
-            f"{where}: compensate is {value!r}, expected one of {', '.join(COMPENSATE)}"
-        )

@@ -19,12 +19,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice
 from rbjax.control.laws.controller import (
+    COMPENSATE,
     Controller,
     PoseReference,
     actuator_forces,
     balancing_forces,
-    check_compensate,
     check_configurations,
     check_controlled_model,
     check_poses,
@@ -105,8 +106,7 @@ class TaskMotion(NamedTuple):
 
 def task_of(where: str, model: Model, site: Any, body: Any, kind: Any) -> FrameTask:
     """Build the task of a frame; raise InputError unless a joint moves the frame."""
-    if kind not in KINDS:
-        raise InputError(f"{where}: task is {kind!r}, expected one of {', '.join(KINDS)}")
+    choice(f"task of {where}", kind, KINDS)
     check_frame(where, site, body)
     carrier = body_of(model, Goal(site=site, body=body, position=[0.0, 0.0, 0.0]))
     if carrier < 0 or model.topology.body_links[carrier] < 0:
@@ -337,7 +337,7 @@ def cartesian_impedance(
     """
     where = "cartesian_impedance"
     check_controlled_model(where, model, undriven)
-    check_compensate(where, compensate)
+    choice(f"compensate of {where}", compensate, COMPENSATE)
     frame = task_of(where, model, site, body, task)
     reference = check_poses(where, reference, frame.parts)
     if posture is not None:

@@ -22,12 +22,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice
 from rbjax.control.laws.controller import (
+    COMPENSATE,
     Controller,
     Followed,
     actuator_forces,
     balancing_forces,
-    check_compensate,
     check_configurations,
     check_controlled_model,
     configuration,
@@ -228,7 +229,7 @@ def joint_impedance(
     """
     where = "joint_impedance"
     check_controlled_model(where, model, undriven)
-    check_compensate(where, compensate)
+    choice(f"compensate of {where}", compensate, COMPENSATE)
     return JointImpedance(
         model, undriven, check_configurations(where, model, reference),
         gains(where, "stiffness", stiffness, model.nv), gains(where, "damping", damping, model.nv),

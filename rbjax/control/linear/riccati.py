@@ -154,7 +154,8 @@ def backward(problem: LinearQuadratic, *, parallel: bool = False) -> Gains:
         K, k = jnp.where(good, K, 0.0), jnp.where(good, k, 0.0)
         return (P, p, ok & good), (K, k, P, p)
 
-    carry, (K, k, Ps, ps) = jax.lax.scan(back, (P, p, ok), steps, reverse=True)
+    found: tuple = jax.lax.scan(back, (P, p, ok), steps, reverse=True)
+    carry, (K, k, Ps, ps) = found
     Ps, ps = jnp.concatenate([Ps, P[None]]), jnp.concatenate([ps, p[None]])
     return Gains(K, k, Ps, ps, carry[2])
 

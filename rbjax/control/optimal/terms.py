@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import integer
+from rbjax.arguments import choice, integer
 from rbjax.control.optimal.system import as_system
 from rbjax.dynamics.algorithms.aba import forward_dynamics
 from rbjax.dynamics.algorithms.energy import center_of_mass
@@ -122,11 +122,7 @@ class Constraint(Record):
         here = f"Constraint({self.name})"
         self.knots = knot_indices_of(here, knots)
         self.low, self.high = check_bound(here, "low", low), check_bound(here, "high", high)
-        self.where = where
-        if where not in ("path", "end", "all"):
-            raise InputError(
-                f"Constraint({self.name}): where is {where!r}, expected 'path', 'end' or 'all'"
-            )
+        self.where = choice(f"where of {here}", where, ("path", "end", "all"))
         lowest, highest = known_array(self.low), known_array(self.high)
         if lowest is not None and highest is not None and (lowest > highest).any():
             raise InputError(

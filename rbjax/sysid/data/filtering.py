@@ -23,7 +23,7 @@ import numpy as np
 from scipy import interpolate, signal
 from scipy.spatial.transform import Rotation, Slerp
 
-from rbjax.arguments import integer, real_array
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -105,12 +105,10 @@ def low_pass(t: Any, x: Any, cutoff: float, *, derivative: int = 0, order: int =
 
 def check_cutoff(where: str, name: str, cutoff: Any, step: float) -> None:
     """Raise InputError unless a cut-off in Hz is below the Nyquist frequency 0.5 / step."""
-    number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
-    if not number or not 0 < cutoff < 0.5 / step:
-        raise InputError(
-            f"{where}: {name} is {cutoff!r} Hz, expected a number between 0 and {0.5 / step:g} Hz, "
-            "half the rate of the samples"
-        )
+    nyquist = 0.5 / step
+    fix = f"a number between 0 and {nyquist:g} Hz, half the rate of the samples"
+    if not real_number(where, name, cutoff, fix, above=0.0) < nyquist:
+        raise InputError(f"{where}: {name} is {cutoff!r} Hz, expected {fix}")
 
 
 def _butterworth(

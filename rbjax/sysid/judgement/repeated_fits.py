@@ -25,6 +25,7 @@ from rbjax.sysid.estimators.identification import fit_in_stages
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.simulation.runs import order_columns, start_time
 from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.intervals import student_quantile
 from rbjax.sysid.statistics.precision import in_double
 
 
@@ -119,8 +120,7 @@ def monte_carlo(
     instance("monte_carlo", "found", found, Identified, "Identified: the result of `identify`")
     integer("monte_carlo", "repetitions", repetitions, least=2)
     integer("monte_carlo", "seed", seed, least=0)
-    if not isinstance(level, (int, float)) or not 0 < level < 1:
-        raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
+    student_quantile("monte_carlo", level, np.inf)  # checks the level
     of, estimates = found.error, found.estimates
     if not found.noise_known:
         raise InputError(

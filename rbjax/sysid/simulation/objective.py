@@ -17,10 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_number
+from rbjax.arguments import choice, real_number
 from rbjax.display import displayed
 from rbjax.dynamics.tracing.devices import memory_share
-from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.sysid.arguments import check_options, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
@@ -101,8 +100,8 @@ def squares(
         could violate them, change variables (such as p = exp(y)).
 
     Raises:
-        InputError: invalid arguments of `identify`, an unknown mode, or memory that is not
-            positive.
+        InputError: invalid arguments of `identify`, or memory that is not positive.
+        UnknownName: an unknown mode.
 
     Source: Griewank & Walther, *Evaluating Derivatives*, 2nd ed., ch. 3 and 12.
 
@@ -119,8 +118,8 @@ def squares(
     """
     setup, runs = setup_of("squares", model), recordings_of("squares", recordings)
     check_options("squares", loss, estimate_initial_state)
-    if not (mode is None or mode in ("forward", "reverse")):
-        raise InputError(f'squares: mode is {mode!r}, expected "forward", "reverse" or None')
+    if mode is not None:
+        choice("mode of squares", mode, ("forward", "reverse"))
     if memory is not None:
         real_number("squares", "memory", memory, "a positive number of bytes", above=0.0)
     sought = Unknowns.of("squares", unknowns, setup)

@@ -259,14 +259,10 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
         viscous + Coulomb is needed in place of viscous: F = 144, p = 8e-21, BIC falls by 87
     """
     for name, model in (("smaller", smaller), ("larger", larger)):
-        fine = isinstance(model, Scored) and all(_is_number(x) for x in model[1:])
-        if not fine:
-            raise InputError(
-                f"compare: {name} is {model!r}, expected Scored(name, squares, parameters) with "
-                "finite numbers"
-            )
-    if not _is_number(samples):
-        raise InputError(f"compare: samples is {samples!r}, expected a finite number")
+        instance("compare", name, model, Scored, "Scored(name, squares, parameters)")
+        real_number("compare", f"squares of {name}", model.squares)
+        real_number("compare", f"parameters of {name}", model.parameters)
+    real_number("compare", "samples", samples)
     more = larger.parameters - smaller.parameters
     left = samples - larger.parameters
     if more < 1 or left <= 0:
@@ -288,12 +284,6 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
     fall = samples * np.log(smaller.squares / rest)
     aic, bic = float(2 * more - fall), float(more * np.log(samples) - fall)
     return Comparison(smaller.name, larger.name, float(F), p, aic, bic)
-
-
-def _is_number(x: Any) -> bool:
-    return (
-        isinstance(x, (int, float, np.number)) and not isinstance(x, bool) and bool(np.isfinite(x))
-    )
 
 
 def _checked(name: str, given: Any) -> dict[str, np.ndarray]:

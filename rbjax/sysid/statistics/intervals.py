@@ -91,8 +91,7 @@ class Estimates:
             UnknownName: an unknown parameter.
             InputError: a level outside of (0, 1).
         """
-        if not 0 < level < 1:
-            raise InputError(f"interval: level is {level}, expected a number between 0 and 1")
+        t = student_quantile("interval", level, self.dof)
         value, gradient = self._combination(of)
         if bounds is None:
             bounds = self.bounds.get(of, (-np.inf, np.inf)) if isinstance(of, str) else None
@@ -100,8 +99,7 @@ class Estimates:
         if not self._identifies(gradient):
             return Interval(value, np.inf, low, high)
         sigma = float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
-        half = float(stats.t.ppf(0.5 + level / 2, self.dof)) * sigma
-        return Interval(value, sigma, *_within(value, half, low, high))
+        return Interval(value, sigma, *_within(value, t * sigma, low, high))
 
     @property
     def sigma(self) -> np.ndarray:
@@ -232,6 +230,15 @@ def estimates(
         names, values.ravel(), half @ half.T, free, np.inf if dof is None else float(dof),
         dict(bounds or {}), lengths,
     )  # fmt: skip
+
+
+def student_quantile(where: str, level: float, dof: float) -> float:
+    """Check a confidence level, and return the half width of its interval in standard deviations,
+    by Student's t."""
+    real_number(where, "level", level, "a number between 0 and 1", above=0.0)
+    if not level < 1:
+        raise InputError(f"{where}: level is {level}, expected a number between 0 and 1")
+    return float(stats.t.ppf(0.5 + level / 2, dof))
 
 
 def tolerance_for(jacobian: Any) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import get_lapack_funcs
 
-from rbjax.arguments import choice, real_array
+from rbjax.arguments import choice, real_array, real_number
 from rbjax.display import displayed
 from rbjax.errors import InputError, listed
 from rbjax.rank_tolerances import rank_tolerance
@@ -195,8 +195,7 @@ def combinations(
     if len(set(names)) < len(names):
         twice = sorted({x for x in names if names.count(x) > 1})
         raise InputError(f"combinations: names repeat: {listed(twice, 4)}; expected unique names")
-    if not (isinstance(tolerance, (int, float, np.number)) and 0 < tolerance < 1):
-        raise InputError(f"combinations: tolerance is {tolerance!r}, expected between 0 and 1")
+    real_number("combinations", "tolerance", tolerance, "between 0 and 1", above=0.0, most=1.0)
     for name in first:
         choice("parameter", name, names)
     J = J.reshape(-1, len(names))

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-import scipy.stats
 
 from rbjax.arguments import integer
 from rbjax.display import displayed
@@ -43,6 +42,7 @@ from rbjax.sysid.parameters.log_cholesky import (
     scalar_residual,
     with_inertial_parameters,
 )
+from rbjax.sysid.statistics.intervals import student_quantile
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.torque.regression import weighted
 from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, parameter_values
@@ -108,10 +108,8 @@ class Consistent(HasStatus):
 
     def intervals(self, level: float = 0.95) -> Array:
         """Compute the confidence intervals (r, 2) of the base parameters."""
-        if not 0 < level < 1:
-            raise InputError(f"intervals: level is {level}, expected between 0 and 1")
-        half = scipy.stats.t.ppf((1 + level) / 2, self.linear.dof)
-        half = half * np.sqrt(np.diag(self.base_covariance))
+        sd = np.sqrt(np.diag(self.base_covariance))
+        half = student_quantile("intervals", level, self.linear.dof) * sd
         return np.stack([self.beta - half, self.beta + half], 1)
 
 

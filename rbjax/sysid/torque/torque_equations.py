@@ -29,6 +29,7 @@ from rbjax.sysid.statistics.fit_statistics import (
     FitStatistics,
     fit_statistics,
 )
+from rbjax.sysid.statistics.intervals import student_quantile
 from rbjax.sysid.statistics.rank import Combinations, combinations
 
 Array = np.ndarray
@@ -259,9 +260,7 @@ class Regression(HasStatus):
 
     def intervals(self, level: float = 0.95) -> Array:
         """Compute the confidence intervals (r, 2) of the base parameters."""
-        if not 0 < level < 1:
-            raise InputError(f"intervals: level is {level}, expected between 0 and 1")
-        half = scipy.stats.t.ppf((1 + level) / 2, self.dof) * self.errors
+        half = student_quantile("intervals", level, self.dof) * self.errors
         return np.stack([self.beta - half, self.beta + half], 1)
 
     def parameters(self, prior: Any) -> Array:
