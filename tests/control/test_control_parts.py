@@ -134,7 +134,7 @@ def test_a_posture_is_damped_critically():
     of = {"site": "tool", "task": "position", "stiffness": 100.0}
     law = control.operational_space(model, [0.4, 0.0, 0.5], posture_stiffness=9.0, **of)
     np.testing.assert_allclose(law.posture_damping, np.full(7, 6.0), rtol=1e-15)
-    with pytest.raises(rb.InputError, match="body is float, expected one of"):
+    with pytest.raises(rb.InputError, match=r"body=3\.0, expected a name"):
         control.operational_space(model, [0.4, 0.0, 0.5], body=3.0, task="position", stiffness=1.0)
     control.gravity_compensation(model, wrenches=np.zeros((model.nb, 6)))
 

@@ -150,6 +150,7 @@ def backward(problem: LinearQuadratic, *, parallel: bool = False) -> Gains:
     def back(carry: tuple, z: LinearQuadratic) -> tuple:
         P, p, ok = carry
         K, k, new, slope, good = _step(z, P, p)
+        good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all()
         P, p = jnp.where(good, new, P), jnp.where(good, slope, p)
         K, k = jnp.where(good, K, 0.0), jnp.where(good, k, 0.0)
         return (P, p, ok & good), (K, k, P, p)
@@ -162,7 +163,7 @@ def backward(problem: LinearQuadratic, *, parallel: bool = False) -> Gains:
 
 def _step(z: LinearQuadratic, P: jax.Array, p: jax.Array) -> tuple[jax.Array, ...]:
     """Return K, k, P and p of a step from P and p of the next knot, and whether H is positive
-    definite and all are finite."""
+    definite and the gains are finite."""
     APA, BPB, BPA = propagate_hessian(P, z.A, z.B)
     ahead = p + product(P, z.d)
     H, G = z.R + BPB, z.S.T + BPA
@@ -173,8 +174,7 @@ def _step(z: LinearQuadratic, P: jax.Array, p: jax.Array) -> tuple[jax.Array, ..
     Y, y = half[:, :-1], half[:, -1]
     new = z.Q + APA - product(Y.T, Y)
     new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
-    good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
-    return K[:, :-1], K[:, -1], new, slope, good
+    return K[:, :-1], K[:, -1], new, slope, good & jnp.isfinite(K).all()
 
 
 def roll_linear(
