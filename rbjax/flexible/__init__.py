@@ -3,6 +3,7 @@
 beams         `Beam`, which `Model.with_beam` adds to a robot
 distributed_load forces and moments along a beam
 tendons       tendons along a beam
+reduced_basis fewer coordinates of a beam, from its modes, static solutions or motions
 elasticity    elastic and viscous forces of a beam
 regressor     inertial regressor of trees with beams
 elastic_columns regressor of the elastic and viscous forces of beams

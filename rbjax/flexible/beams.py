@@ -12,6 +12,7 @@ import numpy as np
 
 from rbjax.arguments import check_positive, real_array
 from rbjax.errors import InputError
+from rbjax.flexible import reduced_basis
 from rbjax.flexible.cross_section import Section, section
 from rbjax.flexible.elasticity import BeamElasticity
 from rbjax.flexible.linear_elasticity import diagonal_if_known, with_free_base
@@ -32,6 +33,7 @@ class Beam(Record):
         natural: name of the curvature -> Legendre coefficients of natural curvature and twist, 1/m.
         degrees: (strain, degree) pairs; static.
         points: the number of Gauss points, or None for the default; static.
+        basis: rows of T of a reduced beam (`reduced`), one for each Legendre coefficient; static.
     """
 
     length: jax.Array
@@ -40,6 +42,7 @@ class Beam(Record):
     natural: dict[str, jax.Array]
     degrees: tuple[tuple[str, int], ...] = eqx.field(static=True)
     points: int | None = eqx.field(static=True, default=None)
+    basis: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
 
     @property
     def tapered(self) -> bool:
@@ -55,6 +58,7 @@ class Beam(Record):
             natural={name: len(x) - 1 for name, x in self.natural.items()},
             tapered=self.tapered,
             eccentric=self.section.eccentric,
+            basis=self.basis or None,
         )
 
     def params(self, joint: StrainBeam) -> jax.Array:
@@ -132,6 +136,87 @@ class Beam(Record):
         if diagonals[0].ndim == diagonals[1].ndim:
             C, viscosity = diagonals
         return BeamElasticity(C, viscosity, name)
+
+    def reduced(self, snapshots: Any, count: int | Mapping[str, int] | None = None) -> Beam:
+        """Reduce the coordinates to the principal combinations of given states of the beam.
+
+        The strains are then xi_0 + sum_j P_j T_j q with a constant basis T, the proper orthogonal
+        decomposition of the snapshots in the inner product of the elastic energy. Length, section
+        and damping stay parameters. Large deflections and rotations stay exact within the basis.
+
+        Args:
+            snapshots: (k, n), coordinates of this beam: `vibration_modes`, `static_modes`, static
+                solutions or a motion, or several of them (np.concatenate). Their size is their
+                weight.
+            count: the number of coordinates, for combinations of all strains. Or strain -> number,
+                for separate coordinates of each strain, whose stiffness matrix is diagonal if the
+                section is uniform and has no couplings. None keeps all independent snapshots.
+
+        Returns:
+            the beam in the new coordinates. Each is the largest strain of its shape: 1/m, or 1 if
+            it is of e_x, g_y or g_z.
+
+        Raises:
+            InputError: a wrong shape, values that are not finite or not constants, more coordinates
+                than independent snapshots.
+            UnknownName: a strain in count that the beam does not have.
+
+        Source: Volkwein, *Proper Orthogonal Decomposition: Theory and Reduced-Order Modelling*,
+            2013.
+
+        Example:
+            >>> import rbjax as rb
+            >>> rod = rb.flexible.beam(2.0, [0, 0, 5.0, 0, 1e3, 0], {"k_z": 9, "g_y": 9}, mass=0.5)
+            >>> small = rod.reduced(rod.vibration_modes(4))
+            >>> rod.joint().coordinates, small.joint().coordinates
+            (20, 4)
+        """
+        return self.replace(basis=reduced_basis.principal_shapes(self, snapshots, count))
+
+    def vibration_modes(self, count: int) -> np.ndarray:
+        """Compute the linear vibration modes of the beam, clamped at its base and free at its tip.
+
+        Args:
+            count: the number of modes, those of the lowest frequencies.
+
+        Returns:
+            (count, n), coordinates of this beam, each of the elastic energy 1/2 J.
+
+        Raises:
+            InputError: a number of modes out of range, or parameters that are not constants.
+
+        Source: Craig, *Structural Dynamics*, 1981.
+
+        Example:
+            >>> import rbjax as rb
+            >>> rod = rb.flexible.beam(2.0, [0, 0, 5.0, 0, 0, 0], {"k_z": 9}, mass=0.5)
+            >>> rod.vibration_modes(3).shape
+            (3, 10)
+        """
+        return reduced_basis.vibration_modes(self, count)
+
+    def static_modes(self) -> np.ndarray:
+        """Compute the strains under unit forces and moments on the tip.
+
+        A basis with them carries loads, bodies and constraints at the tip. Vibration modes alone
+        have no curvature at the tip.
+
+        Returns:
+            (m, n), coordinates of this beam, each of the elastic energy 1/2 J; m is at most six,
+            because a load that does not strain the beam is left out.
+
+        Raises:
+            InputError: parameters that are not constants.
+
+        Source: Craig, *Structural Dynamics*, 1981.
+
+        Example:
+            >>> import rbjax as rb
+            >>> rod = rb.flexible.beam(2.0, [0, 0, 5.0, 0, 0, 0], {"k_z": 9}, mass=0.5)
+            >>> rod.static_modes().shape  # a force along y and a moment about z
+            (2, 10)
+        """
+        return reduced_basis.static_modes(self)
 
     def replace_joint(self, model: Model, name: str) -> Model:
         """Put the beam in the place of a joint of a model, such as a hinge of a file.

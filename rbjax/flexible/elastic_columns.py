@@ -161,7 +161,7 @@ class _Leaf(NamedTuple):
     @property
     def entries(self) -> list[tuple[int, ...]]:
         """The indices of the parameters; of a symmetric pair the one above the diagonal."""
-        active = sorted({c for c, _ in self.kind.columns})
+        active = sorted({c for shape in self.kind.shapes for c in shape})
         pairs = [(c, d) for c in active for d in active if c <= d]
         own = [(c,) for c in active] if self.diagonal else pairs
         points = [(g,) for g in range(len(self.value))] if self.each else [()]

@@ -31,6 +31,7 @@ from rbjax.forces.element import Element, Loads
 from rbjax.forces.reach import Reach
 from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, neg, sub
+from rbjax.lanes import total as total_of
 from rbjax.model import Model, State
 from rbjax.model.leaves import numbers, scalar
 
@@ -102,7 +103,7 @@ class BeamPath(Transmission):
         (length,) = given["length"]
         q = [context.q[first + k] for k in range(beam.coordinates)]
         degree = max(len(given.get(f"natural_{k}", ())) for k in ("k_x", "k_y", "k_z"))
-        degree = max(degree, *(j for _, j in beam.columns))
+        degree = max(degree, *(j for _, j in beam.coefficients))
         nodes, weights = basis.gauss_points(self.offset.shape[0])
         total: Lane = 0.0
         arms: list[Lane] = [0.0] * beam.coordinates
@@ -118,8 +119,8 @@ class BeamPath(Transmission):
             moment = r.cross(direction)  # u . (k x r) = k . (r x u)
             by_strain = [*moment, *direction]
             arms = [
-                add(arm, mul(P[j], by_strain[k]))
-                for arm, (k, j) in zip(arms, beam.columns, strict=True)
+                total_of([arm, *(mul(y, by_strain[k]) for k, y in shape.items())])
+                for arm, shape in zip(arms, beam.shapes_at(P), strict=True)
             ]
         return Reach(total, {start + k: arm for k, arm in enumerate(arms) if not is_zero(arm)})
 

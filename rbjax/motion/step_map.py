@@ -67,7 +67,8 @@ def _stiff_forces(slopes: list[Slope], v: jax.Array) -> list[Lane]:
     out: list[Lane] = [0.0] * len(v)
     for slope in slopes:
         if not is_zero(slope.stiffness):
-            rate = mul(slope.stiffness, inner(slope.arms.values(), [v[i] for i in slope.arms]))
+            along = slope.arms if slope.along is None else slope.along
+            rate = mul(slope.stiffness, inner(along.values(), [v[i] for i in along]))
             for i, arm in slope.arms.items():
                 out[i] = add(out[i], mul(arm, rate))
     return out

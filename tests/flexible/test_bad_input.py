@@ -2,6 +2,7 @@
 
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -77,6 +78,28 @@ BEAMS = {
     "natural['k_y'] has the shape (2, 2)": lambda: planar(natural={"k_y": np.ones((2, 2))}),
     "natural is out of range: a part of the beam": lambda: planar(natural={"k_y": [100.0]}),
     "degrees is list, expected a mapping": lambda: planar([1, 2]),
+    "snapshots has the shape (3, 3), expected (k, 2)": lambda: planar().reduced(np.ones((3, 3))),
+    "snapshots[0, 1] is nan": lambda: planar().reduced([[1.0, np.nan]]),
+    "snapshots is 'modes', expected coordinates of the beam": lambda: planar().reduced("modes"),
+    "count is 2 for all strains, and the snapshots have 1 independent": lambda: planar().reduced(
+        [[1.0, 2.0], [2.0, 4.0]], 2
+    ),
+    "count is 1 for all strains, and the snapshots have 0 independent": lambda: planar().reduced(
+        [[0.0, 0.0]], 1
+    ),
+    "the number of coordinates is 0, expected an integer": lambda: planar().reduced(np.eye(2), 0),
+    "count is empty": lambda: planar().reduced(np.eye(2), {}),
+    "count is 3, expected an integer from 1 to 2": lambda: planar().vibration_modes(3),
+    "section.stiffness is": lambda: jax.jit(
+        lambda EI: planar().replace(section=planar().section.replace(stiffness=EI)).static_modes()
+    )(np.diag(BENDING)),
+    "basis has the shape (3, 1), expected (2, n)": lambda: flexible.strain.strain_beam(
+        {"k_y": 1}, basis=np.ones((3, 1))
+    ),
+    "the 2 columns of basis are linearly dependent, of rank 1": lambda: flexible.strain.strain_beam(
+        {"k_y": 1}, basis=np.ones((2, 2))
+    ),
+    "basis[0, 0] is nan": lambda: flexible.strain.strain_beam({"k_y": 1}, basis=[[np.nan], [1.0]]),
 }
 MODELS = {
     "got the name 'a', expected a new name of a body": lambda: two("a"),
@@ -132,6 +155,7 @@ def test_sentence(sentence: str) -> None:
     "call",
     [
         lambda: planar({"kappa": 1}),
+        lambda: planar().reduced(np.eye(2), {"k_z": 1}),
         lambda: planar(natural={"e_x": [1.0]}),
         lambda: WORLD.with_beam("a", planar(), "nobody"),
         lambda: planar().replace_joint(rb.load("pendulum"), "x"),

@@ -183,3 +183,24 @@ def test_not_with_rigid_constraints() -> None:
     model = rb.load("four_bar")
     with pytest.raises(rb.InputError, match="discrete"):
         rb.step(model, model.default_state(), integrator="discrete")
+
+
+def test_couplings_of_a_stiffness_matrix() -> None:
+    """(M + h D + h^2 K) a = tau - b - h K v, with a full K of a beam of a coupled section."""
+    C = np.diag([3.0, 2.0, 1.0, 40.0, 0.0, 0.0])
+    C[0, 1] = C[1, 0] = 1.4
+    C[1, 3] = C[3, 1] = 5.0
+    rod = rb.flexible.beam(
+        0.6, C, {"k_x": 0, "k_y": 1, "e_x": 1}, mass=0.4, inertia=(4e-3, 2e-3, 2e-3), damping=0.05
+    )
+    model, h = rb.load("<mujoco/>").with_beam("rod", rod), 0.01
+    q, v = 0.3 * jnp.arange(5.0), jnp.linspace(-1.0, 2.0, 5)
+
+    def force(q, v):
+        return rb.applied_forces(model, State(q, v))
+
+    K, D = (-np.asarray(jax.jacfwd(force, i)(q, v)) for i in (0, 1))
+    tau = force(q, v) - rb.inverse_dynamics(model, q, v, 0 * v)
+    a = np.linalg.solve(rb.mass_matrix(model, q) + h * D + h * h * K, tau - h * K @ v)
+    found = rb.step(model, State(q, v), dt=h, integrator="discrete")
+    np.testing.assert_allclose(found.v, v + h * a, rtol=1e-12)

@@ -11,7 +11,14 @@ All results are NumPy arrays or Python floats, which are compile-time constants.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+
+#: the shape function of a coordinate: index of the strain -> coefficients of P_j
+ShapeFunction = Mapping[int, Sequence[float]]
+#: the value of a shape function at a place: index of the strain -> value
+ShapeValue = Mapping[int, float]
 
 
 def gauss_points(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -34,6 +41,20 @@ def legendre(degree: int, x: float) -> np.ndarray:
     for j in range(1, degree):
         values.append(((2 * j + 1) * u * values[j] - j * values[j - 1]) / (j + 1))
     return np.array(values[: degree + 1])
+
+
+def product(a: Sequence[float], b: Sequence[float]) -> float:
+    """Compute int f g dx of the functions with the coefficients a and b; rounding errors are zero.
+
+    >>> product([1.0, 3.0], [2.0, 0.0, 5.0]), product([0.0, 1.0], [0.0, 1.0]) == 1 / 3
+    (2.0, True)
+    """
+
+    def inner(a: Sequence[float], b: Sequence[float]) -> float:
+        return sum(x * y / (2 * j + 1) for j, (x, y) in enumerate(zip(a, b, strict=False)))
+
+    x = inner(a, b)
+    return 0.0 if x * x <= (1e-13) ** 2 * inner(a, a) * inner(b, b) else x
 
 
 def integrals(degree: int, x: float) -> np.ndarray:

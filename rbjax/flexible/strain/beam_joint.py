@@ -1,10 +1,11 @@
 """A beam whose strains are polynomials of the arclength: geometric variable strain.
 
-    xi(s) = [k_x, k_y, k_z, 1 + e_x, g_y, g_z] = xi_0(s) + sum_j P_j(2 s / L - 1) q_j
+    xi(s) = [k_x, k_y, k_z, 1 + e_x, g_y, g_z] = xi_0(s) + sum_j P_j(2 s / L - 1) T_j q
 
 The base frame is at s = 0 and x is along the beam. k_x is torsion, k_y and k_z bending, e_x axial
 strain, g_y and g_z shear. A strain that is absent is zero: without shear the beam is a Kirchhoff
-rod, and without e_x it is inextensible. xi_0 has natural curvature and twist.
+rod, and without e_x it is inextensible. xi_0 has natural curvature and twist. T is constant: 1 if
+the coordinates are the Legendre coefficients, otherwise the basis of fewer coordinates.
 
 (Boyer, Lebastard, Candelier & Renda, *Dynamics of continuum and soft robots: a strain
 parameterization based approach*, IEEE T-RO 37(3), 2021. Here rotations and positions are integrated
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,11 +24,11 @@ import numpy as np
 from rbjax.errors import InputError, UnknownName
 from rbjax.flexible.strain import basis, beam_kinematics, virtual_power
 from rbjax.flexible.strain.section_rotations import Cells, Coefficients, Orientation
-from rbjax.flexible.strain.shape import STRAINS, Shape, checked_degrees, checked_place, is_integer
+from rbjax.flexible.strain.shape import STRAINS, Shape, shape_function
 from rbjax.joints.flexible import Flexible
 from rbjax.joints.frame_motion import FrameMotion, VirtualFrame
 from rbjax.joints.registry import register
-from rbjax.lanes import Lane, Sym3, Vec3, inner, is_zero, mul, safe_sqrt
+from rbjax.lanes import Lane, Sym3, Vec3, fusion_barrier, inner, is_zero, mul, safe_sqrt
 from rbjax.spatial import Motion, RigidInertia, Transform
 
 #: the parameters of a section in which its inertia is linear
@@ -37,12 +39,15 @@ class StrainBeam(Flexible):
     """A flexible link in strain coordinates. Create it with `strain_beam`, which registers it.
 
     The coordinates are the Legendre coefficients of the strains, strain by strain in the order of
-    `STRAINS`, each from degree 0 upwards. The frames are the Gauss points, which carry the mass,
-    then the tip, then the further frames.
+    `STRAINS`, each from degree 0 upwards, or those of a reduced basis. The frames are the Gauss
+    points, which carry the mass, then the tip, then the further frames.
 
     Attributes:
         shape: the static configuration.
-        columns: (index of the strain, degree) of each coordinate.
+        coefficients: (index of the strain, degree) of each Legendre coefficient.
+        basis: T, Legendre coefficients for a unit of each coordinate (coefficients, coordinates).
+        shapes: the shape function of each coordinate, the column of T by strain.
+        shape_values: the values of the shape functions at each Gauss point.
         nodes, weights: s / L of the Gauss points and their weights, whose sum is 1.
         tip: the index of the frame at the tip.
     """
@@ -50,29 +55,30 @@ class StrainBeam(Flexible):
     def __init__(self, shape: Shape):
         self.shape = shape
         self.name = shape.name
-        self.columns = tuple(
+        self.coefficients = tuple(
             (STRAINS.index(name), j) for name, degree in shape.degrees for j in range(degree + 1)
         )
-        self.coordinates = len(self.columns)
+        T = np.array(shape.basis or np.eye(len(self.coefficients)))
+        self.basis, self.coordinates = T.tolist(), T.shape[1]
+        self.shapes = [shape_function(self.coefficients, column) for column in T.T.tolist()]
         self.tip, self.count = shape.points, shape.points + 1 + len(shape.places)
         nodes, weights = basis.gauss_points(shape.points)
         self.nodes, self.weights = nodes.tolist(), weights.tolist()
         ends = (1.0, *shape.places)
-        degree = max((j for _, j in self.columns), default=0)
+        degree = max((j for _, j in self.coefficients), default=0)
         self.values = [basis.legendre(degree, x).tolist() for x in self.nodes]
+        self.shape_values = [self.shapes_at(P) for P in self.values]
         rows = basis.integration_matrix(shape.points, np.array([*self.nodes, *ends]))
         rows[shape.points] = weights
         self.rows = rows.tolist()
-        curvature = [(k, j) for k, j in self.columns if k < 3]
         natural = [(STRAINS.index(strain), j) for strain, j in shape.natural]
-        present = [*curvature, *natural]
-        self._gamma = [(k - 3, j) for k, j in self.columns if k >= 3]
+        bent = {k for shape in self.shapes for k in shape if k < 3}
         self.cells = Cells(
-            max((j for _, j in present), default=-1),
+            max((j for k, j in (*self.coefficients, *natural) if k < 3), default=-1),
             nodes,
             ends,
-            curvature,
-            sorted({k for k, _ in present}),
+            self.shapes,
+            sorted(bent | {k for k, _ in natural}),
         )
         stations = shape.points if shape.tapered else 1
         each = {"mass_per_length": (1.0,), "rotary_inertia": (1e-4, 5e-5, 5e-5)}
@@ -108,10 +114,7 @@ class StrainBeam(Flexible):
         (length,) = given["length"]
         moves = not all(map(is_zero, v))
         sections, s = self._stretched(q, v if moves else None, given)
-        by_curvature = beam_kinematics.curvature_columns(self.rows, s, sections, length)
-        by_gamma = beam_kinematics.gamma_columns(
-            self.rows, self.values, self._gamma, s, sections, length
-        )
+        columns = beam_kinematics.columns(self.rows, self.shape_values, s, sections, length)
         speeds = [(Motion.zero(), Motion.zero())] * self.count
         if moves:
             speeds = beam_kinematics.velocities(self.rows, s, sections)
@@ -119,9 +122,7 @@ class StrainBeam(Flexible):
         out = []
         for g, (row, section) in enumerate(zip(self.rows, sections, strict=True)):
             pose = beam_kinematics.pose(row, s, section)
-            out.append(
-                FrameMotion.at_pose(pose, [*by_curvature[g], *by_gamma[g]], *speeds[g], inertias[g])
-            )
+            out.append(FrameMotion.at_pose(pose, columns[g], *speeds[g], inertias[g]))
         return out
 
     def virtual_frames(
@@ -196,6 +197,13 @@ class StrainBeam(Flexible):
         x = [inner(P[: len(row)], row) for row in rows]
         return Vec3(*x[:3]), Vec3(1.0, 0.0, 0.0) + Vec3(*x[3:])
 
+    def shapes_at(self, P: Sequence[float]) -> list[dict[int, float]]:
+        """Compute the shape function of each coordinate where P_j have the values P."""
+        return [
+            {k: sum(x * y for x, y in zip(P, c, strict=False)) for k, c in shape.items()}
+            for shape in self.shapes
+        ]
+
     def named(self, params: Sequence[Lane]) -> dict[str, list[Lane]]:
         """Split the flat parameters by name."""
         out, at = {}, 0
@@ -254,8 +262,9 @@ class StrainBeam(Flexible):
     def _split(self, q: Sequence[Lane]) -> tuple[list[list[Lane]], list[list[Lane]]]:
         """Return the coefficients of k and of Gamma, component by component."""
         rows: list[list[Lane]] = [[] for _ in STRAINS]
-        for (k, _), x in zip(self.columns, q, strict=True):
-            rows[k].append(x)
+        for (k, _), T in zip(self.coefficients, self.basis, strict=True):
+            rows[k].append(inner(T, q))
+        rows = fusion_barrier(rows) if self.shape.basis else rows
         return rows[:3], rows[3:]
 
     def _curvature(self, q: Sequence[Lane], given: dict[str, list[Lane]]) -> Coefficients:
@@ -296,6 +305,7 @@ def strain_beam(
     natural: Mapping[str, int] | None = None,
     tapered: bool = False,
     eccentric: bool = False,
+    basis: Any = None,
 ) -> StrainBeam:
     """Create and register the kind of joint of a beam. Equal arguments give the same kind.
 
@@ -310,6 +320,8 @@ def strain_beam(
         tapered: True for mass and rotary inertia at each Gauss point, in place of one value.
         eccentric: True for sections whose mass centre is off the line, or whose y and z are not
             principal axes.
+        basis: Legendre coefficients of the strains for a unit of each coordinate (coefficients,
+            coordinates), constants; by default the coordinates are the Legendre coefficients.
 
     Returns:
         the joint, whose `params` are leaves of a model:
@@ -322,7 +334,8 @@ def strain_beam(
         - natural_k_x, natural_k_y, natural_k_z: Legendre coefficients, 1/m.
 
     Raises:
-        InputError: no strain, a degree, a number of points or a place out of range.
+        InputError: no strain, a degree, a number of points or a place out of range, a basis of a
+            wrong shape or with dependent columns.
         UnknownName: no such strain.
 
     Source: Boyer, Lebastard, Candelier & Renda, IEEE T-RO 37(3), 2021, section III.
@@ -335,25 +348,9 @@ def strain_beam(
         >>> [round(float(x), 6) for x in quarter.p]
         [0.63662, 0.63662, 0.0]
     """
-    active = checked_degrees("degrees", degrees, STRAINS)
-    if not active:
-        raise InputError(
-            f"strain_beam: degrees is {degrees!r}, a beam without a strain, which is a rigid body; "
-            'give at least one, for example {"k_y": 2, "k_z": 2}'
-        )
-    curved = checked_degrees("natural", natural or {}, STRAINS[:3])
-    most = max(degree for _, degree in (*active, *curved)) + 1
-    if points is None:
-        points = most + 3
-    if not is_integer(points) or not most <= points <= 100:
-        raise InputError(
-            f"strain_beam: points is {points!r}, expected an integer from {most}, the largest "
-            "number of coefficients of a strain, to 100; leave it out for the default"
-        )
-    places = tuple(checked_place(x) for x in frames)
     return _registered(
-        Shape(active, int(points), places, curved, bool(tapered), bool(eccentric))
-    )  # fmt: skip
+        Shape.checked(degrees, points, frames, natural, bool(tapered), bool(eccentric), basis)
+    )
 
 
 @functools.cache

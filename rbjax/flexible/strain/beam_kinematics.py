@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from rbjax.flexible.strain.basis import ShapeValue
 from rbjax.flexible.strain.section_rotations import Coefficients, Orientation
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, inner, is_literal
 from rbjax.spatial import Motion, Transform
@@ -81,61 +82,47 @@ def position(weights: Sequence[float], s: Stretched) -> Vec3:
     return weighted_sum(weights, s.t)
 
 
-def curvature_columns(
-    rows: Rows, s: Stretched, sections: Sequence[Orientation], length: Lane
-) -> list[list[Motion]]:
-    """Compute [L W_j; dr/dq_j] of each frame and coordinate of curvature, in the frame's axes.
-
-    Args:
-        rows: rows A of weights of the frames.
-        s: the tangents at the Gauss points.
-        sections: the sections of the frames.
-        length: the length of the beam; a coordinate of curvature turns by W_j times the length.
-    """
-    out: list[list[Motion]] = [[] for _ in rows]
-    t = fusion_barrier([x * length for x in s.t])
-    about = [[Vec3(*(float(i == k) for i in range(3))).cross(x) for x in t] for k in range(3)]
-    for j in range(len(s.sections[0].turn)):
-        turns = [x.turn[j] for x in s.sections]
-        constant = all(is_literal(x) for turn in turns for x in turn)
-        arms = [] if constant else [w.cross(x) for w, x in zip(turns, t, strict=True)]
-        for columns, row, section in zip(out, rows, sections, strict=True):
-            if constant:  # a planar beam: the products of constants are one constant
-                lin = Vec3.zero()
-                for k, arm in enumerate(about):
-                    weights = [a * w[k] for a, w in zip(row, turns, strict=True)]
-                    lin = lin + weighted_sum(weights, arm)
-            else:
-                lin = weighted_sum(row, arms)
-            E = section.R.T
-            columns.append(Motion((E @ section.turn[j]) * length, E @ lin))
-    return out
-
-
-def gamma_columns(
+def columns(
     rows: Rows,
-    values: Rows,
-    strains: Sequence[tuple[int, int]],
+    shapes: Sequence[Sequence[ShapeValue]],
     s: Stretched,
     sections: Sequence[Orientation],
     length: Lane,
 ) -> list[list[Motion]]:
-    """Compute [0; dr/dq_j] of each frame and coordinate of Gamma, in the frame's axes.
+    """Compute [L W_j; dr/dq_j] of each frame and coordinate, in the frame's axes.
 
     Args:
         rows: rows A of weights of the frames.
-        values: P_j at the Gauss points.
-        strains: (component, degree) of each coordinate.
+        shapes: the values of the shape functions at the Gauss points.
         s: the tangents at the Gauss points.
         sections: the sections of the frames.
-        length: the length of the beam.
+        length: the length of the beam; a coordinate turns by W_j times the length.
     """
     out: list[list[Motion]] = [[] for _ in rows]
-    axes = {k: [x.R.columns[k] * length for x in s.sections] for k in {k for k, _ in strains}}
-    for k, j in strains:
+    t = fusion_barrier([x * length for x in s.t])
+    about = [[Vec3(*(float(i == k) for i in range(3))).cross(x) for x in t] for k in range(3)]
+    active = sorted({k for at in shapes for shape in at for k in shape if k >= 3})
+    axes = {k: [x.R.columns[k - 3] * length for x in s.sections] for k in active}
+    for j, strains in enumerate(shapes[0]):
+        turns = [x.turn[j] for x in s.sections]
+        constant = all(is_literal(x) for turn in turns for x in turn)
+        arms = []
+        if not constant or len(strains) > 1:
+            arms = [w.cross(x) for w, x in zip(turns, t, strict=True)]
+            for k in (k for k in axes if k in strains):
+                parts = zip(arms, shapes, axes[k], strict=True)
+                arms = [arm + x * at[j][k] for arm, at, x in parts]
         for columns, row, section in zip(out, rows, sections, strict=True):
-            weights = [a * P[j] for a, P in zip(row, values, strict=True)]
-            columns.append(Motion(Vec3.zero(), section.R.T @ weighted_sum(weights, axes[k])))
+            lin = weighted_sum(row, arms) if arms else Vec3.zero()
+            if not arms:  # one strain and constant directions: products of constants are constants
+                for k, arm in enumerate(about):
+                    weights = [a * w[k] for a, w in zip(row, turns, strict=True)]
+                    lin = lin + weighted_sum(weights, arm)
+                for k in (k for k in axes if k in strains):
+                    weights = [a * at[j][k] for a, at in zip(row, shapes, strict=True)]
+                    lin = lin + weighted_sum(weights, axes[k])
+            E = section.R.T
+            columns.append(Motion((E @ section.turn[j]) * length, E @ lin))
     return out
 
 

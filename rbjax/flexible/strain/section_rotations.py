@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.flexible.strain import rotation
-from rbjax.flexible.strain.basis import cell_moments, integrals
+from rbjax.flexible.strain.basis import ShapeFunction, cell_moments, integrals
 from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, fusion_barrier, inner, is_literal, sincos
 from rbjax.lanes.primitives import whole_cotangent
 
@@ -35,7 +35,7 @@ class Orientation(NamedTuple):
 
     Fields:
         R: rotation from the axes of the section to those of the base.
-        turn: W_j = dw/d(L q_j') of each coordinate of curvature, in base axes.
+        turn: W_j = dw/d(L q_j') of each coordinate, in base axes.
         w: angular velocity, in base axes.
         alpha: angular acceleration, in base axes; at q'' = 0 unless accelerations are given.
         virtual: virtual angular velocity, in base axes.
@@ -57,7 +57,7 @@ class Cells:
         degree: the largest degree of a component of the curvature, or -1.
         nodes: s / L of the Gauss points, in increasing order.
         frames: s / L of the further frames.
-        coordinates: (component, degree) of each coordinate of curvature.
+        shapes: the shape functions of the coordinates.
         components: the components of the curvature that are not structurally zero.
     """
 
@@ -66,10 +66,15 @@ class Cells:
         degree: int,
         nodes: np.ndarray,
         frames: Sequence[float],
-        coordinates: Sequence[tuple[int, int]],
+        shapes: Sequence[ShapeFunction],
         components: Sequence[int],
     ):
-        self.coordinates, self.components = tuple(coordinates), tuple(components)
+        self.shapes, self.components = tuple(shapes), tuple(components)
+        #: the largest degree of the shape functions by component
+        self.degrees = {
+            k: max(len(shape.get(k, ())) for shape in shapes) - 1
+            for k in sorted({k for shape in shapes for k in shape if k < 3})
+        }
         before = [int(np.searchsorted(nodes, x, side="right")) for x in frames]
         #: index of the section at which each cell starts; 0 is the base
         self.starts = (*range(len(nodes)), *before)
@@ -110,7 +115,7 @@ class Cells:
         if along and rate:
             return self._looped(k, rate, along)
         none = Vec3.zero()
-        start = tuple(none for _ in self.coordinates) if columns else ()
+        start = tuple(none for _ in self.shapes) if columns else ()
         sections = [Orientation(Mat3.identity(), start, none, none, none)]
         for at, moments in zip(self.starts, self.moments, strict=True):
             sections.append(self._next(sections[at], moments, k, rate, along))
@@ -162,14 +167,16 @@ class Cells:
     ) -> Orientation:
         none = Vec3.zero()
         if not self.components:
-            return Orientation(Mat3.identity(), (), none, none, none)
+            start = tuple(none for _ in self.shapes) if columns else ()
+            return Orientation(Mat3.identity(), start, none, none, none)
         (axis,) = self.components
         angle = _short_inner(x, k[axis])
         if is_literal(angle):
             c, s = math.cos(angle), math.sin(angle)
         else:
             c, s = fusion_barrier(sincos(angle))
-        turn = tuple(_along(axis, x[j]) for _, j in self.coordinates) if columns else ()
+        shapes = [shape.get(axis, ()) for shape in self.shapes] if columns else []
+        turn = tuple(_along(axis, _short_inner(x, shape)) for shape in shapes)
         rates = (rate, *(along or (None, None)))
         w, alpha, virtual = (_along(axis, _short_inner(x, y[axis])) if y else none for y in rates)
         return Orientation(rotation.rotation_about(axis, angle, c, s), turn, w, alpha, virtual)
@@ -203,19 +210,20 @@ class Cells:
     def _next_columns(
         self, last: Orientation, moments: Rows, m: rotation.Magnus, J: Mat3
     ) -> tuple[Vec3, ...]:
-        """Compute W_j at the end of a cell: dO/dq_j is linear in the moments of P_j."""
+        """Compute W_j at the end of a cell: dO/dq_j is linear in the moments of the shape."""
         none = Vec3.zero()
-        slopes: dict[int, list[Vec3]] = {}
-        for axis, degree in self.coordinates:
-            units = slopes.setdefault(axis, [])
+        units: dict[int, list[Vec3]] = {}
+        for axis, degree in self.degrees.items():
             e = _along(axis, 1.0)
             changes = ((e, e, none, none), (none, none, e, none), (e * (1 / 12), none, none, e))
-            if len(units) <= min(degree, 2):
-                units.append(J @ m.rate(changes[len(units)]).angle)
-        return tuple(
-            before + sum((u * w[j] for u, w in zip(slopes[axis], moments[1:], strict=False)), none)
-            for before, (axis, j) in zip(last.turn, self.coordinates, strict=True)
-        )
+            units[axis] = [J @ m.rate(x).angle for x in changes[: degree + 1]]
+        out = []
+        for turn, shape in zip(last.turn, self.shapes, strict=True):
+            for axis in (k for k in units if k in shape):
+                own = [_short_inner(row, shape[axis]) for row in moments[1:]]
+                turn = turn + sum((u * w for u, w in zip(units[axis], own, strict=False)), none)
+            out.append(turn)
+        return tuple(out)
 
 
 def _along(axis: int, x: Lane) -> Vec3:

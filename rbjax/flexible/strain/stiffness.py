@@ -8,8 +8,9 @@ orthogonal. If C is constant along the beam,
 
     K_{(c,i),(d,j)} = delta_ij L C_cd / (2 j + 1)
 
-and K is diagonal if C is. If C varies, Gauss quadrature computes K. With the viscosity of the
-section in place of C the function gives the damping matrix of Kelvin and Voigt.
+and K is diagonal if C is. In a reduced basis the same holds if each coordinate has one strain, and
+the coordinates of a strain are orthogonal. If C varies, Gauss quadrature computes K. With the
+viscosity of the section in place of C the function gives the damping matrix of Kelvin and Voigt.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbjax.errors import InputError
+from rbjax.flexible.strain.basis import product
 from rbjax.flexible.strain.beam_joint import StrainBeam
 from rbjax.flexible.strain.shape import STRAINS
 from rbjax.lanes import Lane, inner, mul
@@ -51,15 +53,20 @@ def stiffness_matrix(beam: StrainBeam, C: Rows | Sequence[Rows], length: Lane) -
     stations = _stations(beam, C)
     if len(stations) == 1:
 
-        def entry(c: int, i: int, d: int, j: int) -> Lane:
-            return mul(mul(length, stations[0][c][d]), 1 / (2 * j + 1)) if i == j else 0.0
+        def term(i: int, c: int, j: int, d: int) -> Lane:
+            share = product(beam.shapes[i][c], beam.shapes[j][d])
+            return mul(mul(length, stations[0][c][d]), share) if share else 0.0
     else:
 
-        def entry(c: int, i: int, d: int, j: int) -> Lane:
-            shares = [w * P[i] * P[j] for w, P in zip(beam.weights, beam.values, strict=True)]
+        def term(i: int, c: int, j: int, d: int) -> Lane:
+            points = zip(beam.weights, beam.shape_values, strict=True)
+            shares = [w * at[i][c] * at[j][d] for w, at in points]
             return mul(length, inner(shares, [at[c][d] for at in stations]))
 
-    return [[entry(c, i, d, j) for d, j in beam.columns] for c, i in beam.columns]
+    def entry(i: int, j: int) -> Lane:
+        return sum_of(term(i, c, j, d) for c in beam.shapes[i] for d in beam.shapes[j])
+
+    return [[entry(i, j) for j in range(beam.coordinates)] for i in range(beam.coordinates)]
 
 
 def elastic_energy(K: Rows, q: Sequence[Lane]) -> Lane:

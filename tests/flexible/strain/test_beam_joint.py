@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 import rbjax as rb
 from rbjax.errors import InputError, UnknownName
@@ -21,6 +22,20 @@ BEAMS = {
         {"k_x": 1, "k_y": 3, "k_z": 2, "e_x": 1, "g_y": 0, "g_z": 1},
         natural={"k_x": 0, "k_z": 1},
         frames=(0.25, 1.0),
+    ),
+    "reduced_planar": strain_beam(
+        {"k_z": 3, "g_y": 2}, basis=np.random.default_rng(7).normal(size=(7, 3)), frames=(0.4,)
+    ),
+    "reduced": strain_beam(
+        {"k_x": 1, "k_y": 3, "k_z": 2, "e_x": 1, "g_y": 0, "g_z": 1},
+        basis=np.random.default_rng(8).normal(size=(14, 4)),
+        natural={"k_z": 1},
+    ),
+    "reduced_by_strain": strain_beam(
+        {"k_y": 3, "k_z": 2, "e_x": 1},
+        basis=scipy.linalg.block_diag(
+            [[1.0, 0.2], [0.0, 1.0], [0.5, 0.3], [0.0, 0.7]], [[1.0], [0.4], [0.1]], [[0.0], [1.0]]
+        ),
     ),
 }
 

@@ -17,7 +17,7 @@ def integrated(C, length: float) -> np.ndarray:
     K = 0.0
     for u, weight in zip(x, w, strict=True):
         B = np.zeros((6, BEAM.coordinates))
-        for n, (c, j) in enumerate(BEAM.columns):
+        for n, (c, j) in enumerate(BEAM.coefficients):
             B[c, n] = np.polynomial.legendre.Legendre.basis(j)(u)
         K = K + length * weight / 2 * B.T @ C((u + 1) / 2) @ B
     return K
