@@ -27,6 +27,8 @@ from rbjax.planning.search.controls import (
 )
 from rbjax.planning.search.grid_dijkstra import grid_dijkstra
 from rbjax.planning.search.many_searches import grid_dijkstra_many
+from rbjax.planning.search.robot_drive import drive_of
+from rbjax.wheeled import Robot
 
 ROW = 64  # paths are padded to multiples of this length, so that one program smooths them
 
@@ -72,12 +74,14 @@ def methods() -> dict[str, Callable[..., Plan]]:
 
 def plan(
     grid: OccupancyGrid,
-    footprint: Footprint,
+    robot: Robot | Footprint,
     start: Any,
     goal: Any,
     *,
-    drive: str = "car",
+    footprint: Footprint | None = None,
+    drive: str | None = None,
     radius: float | None = None,
+    steering: float = 0.6,
     backwards: bool = True,
     controls: Controls | None = None,
     method: str = "hybrid_a_star",
@@ -88,16 +92,20 @@ def plan(
 ) -> Plan | list[Plan]:
     """Plan a path from a pose to another that is free of obstacles.
 
-    The defaults are for a car. Choose `drive` for other robots, and `method` or `controls` for
-    another search.
+    Choose `method` or `controls` for another search.
 
     Args:
         grid: the map. Cells beyond it count as occupied.
-        footprint: of the robot.
+        robot: a `wheeled.Robot` without trailers, or a `Footprint`.
         start, goal: poses (3,): x and y in m, the heading in rad. Or (q, 3) for q plans; a single
             pose is used for all of them.
-        drive: "car"; "differential", which turns on the spot; "omnidirectional".
-        radius: the smallest turning radius of a car, m; None for other drives.
+        footprint: of the robot; None for `Footprint.around_wheels(robot)`. A `wheeled.Robot` has no
+            body shape, so give it if the body extends beyond the wheels.
+        drive: "car"; "differential", which turns on the spot; "omnidirectional". None for the drive
+            that the wheels of the robot allow, or for "car" with a `Footprint`.
+        radius: the smallest turning radius of a car, m. None for that of the robot at the angle
+            `steering`, and for other drives.
+        steering: the largest steering angle of the robot, rad.
         backwards: whether the robot may drive backwards.
         controls: for the search; None for controls that fit drive, radius and map.
         method: "hybrid_a_star", which ends exactly at the goal, or "grid_a_star" or
@@ -113,7 +121,8 @@ def plan(
         always the result of the search, before smoothing.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, a car without a radius.
+        InputError: wrong types or shapes, values that are not finite, a `Footprint` of a car
+            without a radius, a robot with trailers, or one that no drive fits.
         UnknownName: no such drive or method.
 
     Source: see the methods.
@@ -125,12 +134,29 @@ def plan(
         >>> found = plan(grid, shape, [1.0, 1.0, 0.0], [5.0, 1.0, 0.0], radius=0.8)
         >>> found.status, found.refinement, int(found.path.cusps)
         ('found', 'smoothed', 0)
+
+        With a robot, which has a drive and a turning radius:
+
+        >>> import rbjax as rb
+        >>> cart = rb.wheeled.kinds()["differential_drive"].make()
+        >>> plan(grid, cart, [1.0, 1.0, 0.0], [5.0, 1.0, 0.0]).status
+        'found'
     """
     choice("method", method, methods())
-    choice("drive", drive, drives())
     flag("plan", "backwards", backwards)
     instance("plan", "grid", grid, OccupancyGrid, "rb.planning.OccupancyGrid")
+    instance(
+        "plan", "robot", robot, (Robot, Footprint), "rb.wheeled.Robot or rb.planning.Footprint"
+    )
+    if isinstance(robot, Robot):
+        footprint = Footprint.around_wheels(robot) if footprint is None else footprint
+        if controls is None and drive is None:
+            drive, least = drive_of(robot, steering)
+            radius = least if radius is None else radius
+    else:
+        footprint = robot if footprint is None else footprint
     instance("plan", "footprint", footprint, Footprint, "rb.planning.Footprint")
+    drive = choice("drive", "car" if drive is None else drive, drives())
     if controls is None:
         controls = _fitting(grid, drive, radius, backwards)
     instance("plan", "controls", controls, Controls, "rb.planning.Controls")

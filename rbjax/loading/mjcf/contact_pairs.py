@@ -54,6 +54,6 @@ def _colliders(m: mujoco.MjModel) -> list[Collider]:
     )  # fmt: skip
     rows = zip(kinds_of(m), *(x.tolist() for x in columns), strict=True)
     return [
-        Collider(*first, parent if parent and filtered else None, fixed)
-        for *first, parent, fixed in rows
+        Collider(kind, contype, affinity, b, own, parent if parent and filtered else None, fixed)
+        for kind, contype, affinity, b, own, parent, fixed in rows
     ]

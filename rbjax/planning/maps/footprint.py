@@ -24,6 +24,7 @@ from rbjax.lanes.arrays import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.maps.occupancy import DistanceField
 from rbjax.rotations.arguments import takes
+from rbjax.wheeled import Robot
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -77,6 +78,31 @@ class Footprint(Record):
         x = -behind + each * (np.arange(discs) + 0.5)
         centers = np.column_stack([x, np.zeros(discs)])
         return cls(jnp.asarray(centers), jnp.full(discs, math.hypot(each, width) / 2))
+
+    @classmethod
+    def around_wheels(cls, robot: Robot) -> Footprint:
+        """Cover the rectangle around the wheels of a robot without trailers.
+
+        Each wheel has the room of a circle of its radius; that of a caster turns about its pivot.
+
+        Example:
+            >>> import rbjax as rb
+            >>> car = rb.wheeled.kinds()["car"].make(wheelbase=2.6, track=1.5, radius=0.3)
+            >>> Footprint.around_wheels(car).centers[:, 0].round(2).tolist()
+            [0.1, 0.9, 1.7, 2.5]
+        """
+        where = "Footprint.around_wheels"
+        instance(where, "robot", robot, Robot, "rb.wheeled.Robot")
+        if len(robot.bodies) > 1:
+            raise InputError(
+                f"{where}: the robot has trailers, which one footprint cannot cover; give the "
+                "robot without them, or a Footprint of all in a line"
+            )
+        places = np.array([np.asarray(w.position, float) for w in robot.wheels])
+        trails = [float(w.trail) * (w.kind == "caster") for w in robot.wheels]
+        room = np.array([float(w.radius) for w in robot.wheels]) + trails
+        ahead, behind = (places[:, 0] + room).max(), (room - places[:, 0]).max()
+        return cls.rectangle(ahead, behind, 2 * (np.abs(places[:, 1]) + room).max())
 
     @classmethod
     def polygon(cls, vertices: Any, excess: float) -> Footprint:

@@ -132,7 +132,8 @@ def _place(robot: Robot, source: Leader) -> np.ndarray:
     return np.mean([np.asarray(robot.wheels[i].position) for i in numbers], 0)
 
 
-def _row(robot: Robot, source: Leader, angles: np.ndarray) -> np.ndarray:
+def constraint_row(robot: Robot, source: Leader, angles: np.ndarray) -> np.ndarray:
+    """Return the row c (3,) of a leader at angles (steerings,), rad: c . (vx, vy, w) = 0."""
     x, y = _place(robot, source)
     heading = 0.0
     if source.what == "wheel":
@@ -145,7 +146,7 @@ def _row(robot: Robot, source: Leader, angles: np.ndarray) -> np.ndarray:
 
 
 def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
-    rows = np.array([_row(robot, source, angles) for source in sources])
+    rows = np.array([constraint_row(robot, source, angles) for source in sources])
     reach = max(1e-3, max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels))
     values: Any = np.linalg.svd(rows / [1, 1, reach], compute_uv=False)
     return int((values > _zero(robot) * values.max()).sum())
