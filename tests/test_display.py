@@ -228,7 +228,7 @@ def test_problems_show_their_costs():
 
 def test_reports_and_recommendations_show():
     error = rb.validation.Error(1e-12, 2e-12)
-    row = rb.validation.Row("bias", {"rbjax f64": error}, {"rbjax f64": 1e-9})
+    row = rb.validation.ReportRow("bias", {"rbjax f64": error}, {"rbjax f64": 1e-9})
     report = rb.validation.Report("pendulum", 3, 1.0, (row,), ())
     assert lines(report)[0] == "Report: 'pendulum', 3 states, within tolerances"
     choice = rb.recommend.Recommendation("rk4", 3.0, (Pair("rk4", 3.0),), "it is the cheapest")

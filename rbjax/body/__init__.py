@@ -26,12 +26,12 @@ from rbjax.body.forces import (
     UniformGravity,
 )
 from rbjax.body.formulation_types import (
+    BodyState,
     Formulation,
     Kirchhoff,
     Momentum,
     NewtonEuler,
     Spatial,
-    State,
 )
 from rbjax.body.registry import formulation, formulations
 
@@ -51,7 +51,7 @@ __all__ = [
     "Situation",
     "Spatial",
     "Spring",
-    "State",
+    "BodyState",
     "UniformGravity",
     "ellipsoid_added_mass",
     "formulation",

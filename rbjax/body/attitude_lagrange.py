@@ -32,7 +32,7 @@ from rbjax.body.body import (
     split,
     total_wrench,
 )
-from rbjax.body.formulation_types import Formulation, State
+from rbjax.body.formulation_types import BodyState, Formulation
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import se3
@@ -44,7 +44,7 @@ SINGULAR = 1e-8
 class _InCoordinates(Formulation):
     """A formulation in coordinates q = (p, x), with the attitude x in any representation."""
 
-    def pose(self, body: Body, y: State) -> jax.Array:
+    def pose(self, body: Body, y: BodyState) -> jax.Array:
         return self._pose(y.q)
 
     def _pose(self, q: jax.Array) -> jax.Array:
@@ -75,7 +75,7 @@ class Lagrange(_InCoordinates):
                 f"representation, with 3; QuasiLagrange takes any"
             )
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
         """Return the state of a body with pose T (4, 4) and body twist V (6,).
 
         At a singularity, raise `InputError`, or return very large rates if T is traced.
@@ -88,15 +88,15 @@ class Lagrange(_InCoordinates):
                 f"singular ({self.attitude.singular_set}), expected an attitude away from there; "
                 f"take another representation, or QuasiLagrange('unit_quaternion')"
             )
-        return State(q, self._rates(q, V))
+        return BodyState(q, self._rates(q, V))
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         _, rest = split(args)
         F = total_wrench(rest, t, self._pose(y.q), self.twist(args[0], y))
         _, work = jax.vjp(lambda qd: self._twist(y.q, qd), y.v)
-        return State(y.v, lagrange.acceleration(self.system(args), y.q, y.v, work(F)[0]))
+        return BodyState(y.v, lagrange.acceleration(self.system(args), y.q, y.v, work(F)[0]))
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         return self._twist(y.q, y.v)
 
     def system(self, args: Situation) -> lagrange.System:
@@ -111,16 +111,16 @@ class Lagrange(_InCoordinates):
 class QuasiLagrange(_InCoordinates):
     """Quasi-Lagrangian equations in any representation of attitude; v is the body twist."""
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
-        return State(self._coordinates(T), V)
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
+        return BodyState(self._coordinates(T), V)
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         q, V = y
         body, (_, rest) = args[0], split(args)
         F = total_wrench(rest, t, self._pose(q), V)
         slope = jax.grad(lambda q: potential_energy(args, self._pose(q)))(q)
         _, virtual = jax.vjp(lambda V: self._rates(q, V), V)
-        return State(
+        return BodyState(
             self._rates(q, V),
             hamel_acceleration(
                 lambda q, V: kinetic_energy(body, V), self._twist, self._rates, q, V,
@@ -128,7 +128,7 @@ class QuasiLagrange(_InCoordinates):
             ),
         )  # fmt: skip
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         return y.v
 
 

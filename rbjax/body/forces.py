@@ -29,11 +29,11 @@ def _as_array(value: Any) -> Any:
 
 
 def field(kind: str, **options: Any) -> Any:
-    """Declare a field of a `Force`: an array of a kind of `rbjax.rotations.arguments.SHAPES`."""
+    """Declare a field of a force: an array of a kind of `rbjax.rotations.arguments.SHAPES`."""
     return eqx.field(converter=_as_array, metadata={"kind": kind}, **options)
 
 
-class Force(eqx.Module):
+class BodyForce(eqx.Module):
     """The base class of forces. It checks the fields that `field` declares."""
 
     def __check_init__(self) -> None:
@@ -52,7 +52,7 @@ def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
 
 
 @displayed
-class UniformGravity(Force):
+class UniformGravity(BodyForce):
     """Gravity with a uniform acceleration.
 
     Fields:
@@ -69,7 +69,7 @@ class UniformGravity(Force):
 
 
 @displayed
-class CentralGravity(Force):
+class CentralGravity(BodyForce):
     """Gravity of a point mass at `centre` (3,) with mu = G M, m^3/s^2, to second order in size.
 
     V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3)  (MacCullagh), with n the direction from the
@@ -102,7 +102,7 @@ class CentralGravity(Force):
 
 
 @displayed
-class Buoyancy(Force):
+class Buoyancy(BodyForce):
     """Buoyancy of a fully immersed volume.
 
     Fields:
@@ -125,7 +125,7 @@ class Buoyancy(Force):
 
 
 @displayed
-class LinearDrag(Force):
+class LinearDrag(BodyForce):
     """Linear drag -D (V - V_fluid) at the frame's origin in body axes.
 
     Fields:
@@ -141,7 +141,7 @@ class LinearDrag(Force):
 
 
 @displayed
-class QuadraticDrag(Force):
+class QuadraticDrag(BodyForce):
     """Quadratic drag -d_i |V_i| V_i for each component of the twist relative to the fluid.
 
     Fields:
@@ -158,7 +158,7 @@ class QuadraticDrag(Force):
 
 
 @displayed
-class Spring(Force):
+class Spring(BodyForce):
     """A spring between a point of the world and a point of the body: force k (l - l_0).
 
     Fields:
@@ -186,7 +186,7 @@ class Spring(Force):
 
 
 @displayed
-class Damper(Force):
+class Damper(BodyForce):
     """A damper between a point of the world and a point of the body: force -c dl/dt.
 
     Fields:

@@ -29,7 +29,7 @@ from rbjax.rotations.representation import Representation, find
 
 
 @displayed
-class State(NamedTuple):
+class BodyState(NamedTuple):
     """A state: coordinates q (3 + size of the attitude), velocities or momenta v (6,)."""
 
     q: jax.Array
@@ -43,26 +43,26 @@ class Formulation(abc.ABC):
         self.attitude: Representation = find(attitude)
 
     @abc.abstractmethod
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
         """Return the state of a body with pose T (4, 4) and body twist V (6,)."""
 
     @abc.abstractmethod
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         """Compute the rate of the state under the forces."""
 
     @abc.abstractmethod
-    def pose(self, body: Body, y: State) -> jax.Array:
+    def pose(self, body: Body, y: BodyState) -> jax.Array:
         """Return the pose T (4, 4) of the body's frame."""
 
     @abc.abstractmethod
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         """Return the body twist V = (omega, v) (6,) of the body's frame."""
 
     def term(self) -> diffrax.ODETerm:
         """Return the term for diffrax, with (body, forces) as args."""
         return diffrax.ODETerm(self.rate)
 
-    def singularity_distance(self, y: State) -> jax.Array:
+    def singularity_distance(self, y: BodyState) -> jax.Array:
         """Return the angle to the nearest singularity of the equations, or inf if none exists."""
         return self.attitude.singularity_distance(y.q[3:])
 
@@ -76,7 +76,7 @@ class _QuaternionState(Formulation):
     def __init__(self) -> None:
         super().__init__("unit_quaternion")
 
-    def pose(self, body: Body, y: State) -> jax.Array:
+    def pose(self, body: Body, y: BodyState) -> jax.Array:
         return _pose(y.q)
 
     def __repr__(self) -> str:
@@ -120,15 +120,15 @@ class NewtonEuler(_QuaternionState):
         super().__init__()
         self.point = None if point is None else np.asarray(point, float)
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
         r = self._point(body)
         q = _coordinates(T)
         at = spatial.twist_at(V, r)
         R = _attitude(q)
         q = q.at[:3].add(matvec(R, r))
-        return State(q, jnp.concatenate([at[:3], matvec(R, at[3:])]))
+        return BodyState(q, jnp.concatenate([at[:3], matvec(R, at[3:])]))
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         body = args[0]
         omega, v, R = y.v[:3], y.v[3:], _attitude(y.q)
         F = spatial.wrench_at(
@@ -153,13 +153,13 @@ class NewtonEuler(_QuaternionState):
             x = jnp.linalg.solve(M, jnp.concatenate([n, f]))
             alpha, a = x[:3], x[3:]
         rate = _coordinate_rate(y.q, v, omega)
-        return State(rate, jnp.concatenate([alpha, matvec(R, a)]))
+        return BodyState(rate, jnp.concatenate([alpha, matvec(R, a)]))
 
-    def pose(self, body: Body, y: State) -> jax.Array:
+    def pose(self, body: Body, y: BodyState) -> jax.Array:
         T = _pose(y.q)
         return T.at[:3, 3].add(-matvec(T[:3, :3], self._point(body)))
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         at = jnp.concatenate([y.v[:3], matvec(_attitude(y.q).T, y.v[3:])])
         return spatial.twist_at(at, -self._point(body))
 
@@ -187,10 +187,10 @@ class Kirchhoff(_QuaternionState):
     The derivatives of T are computed with JAX. v of the state is the body twist.
     """
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
-        return State(_coordinates(T), V)
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
+        return BodyState(_coordinates(T), V)
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         body, V = args[0], y.v
         F = total_wrench(args, t, self.pose(body, y), V)
 
@@ -202,9 +202,9 @@ class Kirchhoff(_QuaternionState):
         n = F[:3] - jnp.cross(omega, h[:3]) - jnp.cross(v, h[3:])
         f = F[3:] - jnp.cross(omega, h[3:])
         acceleration = jnp.linalg.solve(jax.hessian(energy)(V), jnp.concatenate([n, f]))
-        return State(_coordinate_rate(y.q, matvec(_attitude(y.q), v), omega), acceleration)
+        return BodyState(_coordinate_rate(y.q, matvec(_attitude(y.q), v), omega), acceleration)
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         return y.v
 
 
@@ -228,11 +228,11 @@ class _Spatial(_QuaternionState):
         matrix = inertia_matrix(body)
         return matrix if self.about is None else spatial.transform_inertia(self._frame(q), matrix)
 
-    def _wrench(self, t: Any, y: State, args: Situation) -> jax.Array:
+    def _wrench(self, t: Any, y: BodyState, args: Situation) -> jax.Array:
         F = total_wrench(args, t, self.pose(args[0], y), self.twist(args[0], y))
         return F if self.about is None else spatial.transform_force(self._frame(y.q), F)
 
-    def _q_rate(self, body: Body, y: State) -> jax.Array:
+    def _q_rate(self, body: Body, y: BodyState) -> jax.Array:
         V = self.twist(body, y)
         return _coordinate_rate(y.q, matvec(_attitude(y.q), V[3:]), V[:3])
 
@@ -240,16 +240,18 @@ class _Spatial(_QuaternionState):
 class Spatial(_Spatial):
     """The spatial equation of motion I A = F - V x* I V, with v the twist V."""
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
         q = _coordinates(T)
-        return State(q, V if self.about is None else spatial.transform_motion(self._frame(q), V))
+        return BodyState(
+            q, V if self.about is None else spatial.transform_motion(self._frame(q), V)
+        )
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         M, F = self._inertia(args[0], y.q), self._wrench(t, y, args)
         A = jnp.linalg.solve(M, F - spatial.force_cross(y.v, matvec(M, y.v)))
-        return State(self._q_rate(args[0], y), A)
+        return BodyState(self._q_rate(args[0], y), A)
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         if self.about is None:
             return y.v
         return spatial.transform_motion(se3.inverse(self._frame(y.q)), y.v)
@@ -258,18 +260,18 @@ class Spatial(_Spatial):
 class Momentum(_Spatial):
     """The spatial equation h' = F (fixed frame) or h' = F - V x* h (body), with v = h = I V."""
 
-    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> BodyState:
         q = _coordinates(T)
         h = matvec(inertia_matrix(body), V)
-        return State(q, h if self.about is None else spatial.transform_force(self._frame(q), h))
+        return BodyState(q, h if self.about is None else spatial.transform_force(self._frame(q), h))
 
-    def rate(self, t: Any, y: State, args: Situation) -> State:
+    def rate(self, t: Any, y: BodyState, args: Situation) -> BodyState:
         F = self._wrench(t, y, args)
         if self.about is None:
             F = F - spatial.force_cross(self.twist(args[0], y), y.v)
-        return State(self._q_rate(args[0], y), F)
+        return BodyState(self._q_rate(args[0], y), F)
 
-    def twist(self, body: Body, y: State) -> jax.Array:
+    def twist(self, body: Body, y: BodyState) -> jax.Array:
         h = y.v
         if self.about is not None:
             h = spatial.transform_force(se3.inverse(self._frame(y.q)), h)

@@ -25,7 +25,7 @@ from rbjax.errors import InputError
 Constraint = Callable[[Any, jax.Array], jax.Array]
 
 
-class ConstrainedMotion(NamedTuple):
+class ParticleMotion(NamedTuple):
     """Acceleration x'' (n, d), multipliers (m,) and reactions (n, d) of constrained particles.
 
     `margin` is the smallest eigenvalue of Phi M^-1 Phi^T divided by the largest. If it is near 0,
@@ -45,7 +45,7 @@ def constrained_acceleration(
     forces: jax.Array,
     constraint: Constraint,
     t: Any = 0.0,
-) -> ConstrainedMotion:
+) -> ParticleMotion:
     """Compute the acceleration of particles under constraints.
 
     masses: (n,).
@@ -74,7 +74,7 @@ def constrained_acceleration(
         )
     multipliers = jnp.linalg.solve(A, -gamma - free)
     reactions = (Phi * multipliers[:, None]).sum(0).reshape(x.shape)
-    return ConstrainedMotion((forces + reactions) / masses[:, None], multipliers, reactions, margin)
+    return ParticleMotion((forces + reactions) / masses[:, None], multipliers, reactions, margin)
 
 
 def constraint_error(

@@ -39,7 +39,7 @@ from rbjax.model import Model, State, with_constants
 from rbjax.motion.field import Field, dynamics_of, free_motion, with_contact
 from rbjax.motion.integrators import advance_state, integrator_of
 from rbjax.motion.step import with_memory
-from rbjax.sensors.solution import Solution
+from rbjax.sensors.solution import MotionSolution
 
 
 class ControlStep:
@@ -238,7 +238,7 @@ class ControlStep:
         state, dt = after.state, self.dt * self.task.decimation
         t = dt * after.step.astype(self.dtype)
         context = Context.of(params.model, t, state, after.ctrl, self.dt)
-        solution = Solution(
+        solution = MotionSolution(
             context,
             Inputs(after.ctrl),
             self.dynamics,

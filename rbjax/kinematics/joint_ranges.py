@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, is_literal
-from rbjax.model import Model, spans
+from rbjax.model import Model, joint_slices
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
@@ -153,4 +153,4 @@ def _slides(joint: Any, n: int) -> bool:
 
 
 def _joints(model: Model) -> Iterator[tuple[Any, Any]]:
-    return zip(model.topology.joints, spans(model.topology), strict=True)
+    return zip(model.topology.joints, joint_slices(model.topology), strict=True)

@@ -5,7 +5,7 @@ from rbjax.model.frame import Frame
 from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import (
     LinkConstants,
-    Prepared,
+    ModelConstants,
     prepare,
     with_constants,
     without_constants,
@@ -13,7 +13,7 @@ from rbjax.model.links import (
 from rbjax.model.model import DRIVER_NAMES, Model
 from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.state import State
-from rbjax.model.topology import WORLD, Dof, Topology, spans
+from rbjax.model.topology import WORLD, Dof, Topology, joint_slices
 
 __all__ = [
     "DRIVER_NAMES",
@@ -28,7 +28,7 @@ __all__ = [
     "LinkConstants",
     "Model",
     "Partition",
-    "Prepared",
+    "ModelConstants",
     "Sites",
     "SolverParameters",
     "State",
@@ -36,7 +36,7 @@ __all__ = [
     "with_constants",
     "partition",
     "prepare",
-    "spans",
+    "joint_slices",
     "without_constants",
 ]
 

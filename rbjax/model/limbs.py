@@ -42,7 +42,7 @@ class Partition(NamedTuple):
     groups: tuple[Group, ...]
 
     @property
-    def written(self) -> int:
+    def links_in_program(self) -> int:
         """The number of links in a program: all of the trunk, and one limb of each group."""
         return len(self.trunk) + sum(len(group.parents) for group in self.groups)
 

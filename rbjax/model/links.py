@@ -61,7 +61,7 @@ class LinkConstants:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Prepared:
+class ModelConstants:
     """The link constants of a model as columns, the poses of bodies in their links, and gravity."""
 
     columns: LinkConstants
@@ -85,7 +85,7 @@ class Prepared:
         return jax.tree.map(lambda column: lane(column, body), self.welds)
 
 
-def prepare(model: Model, dtype: Any) -> Prepared:
+def prepare(model: Model, dtype: Any) -> ModelConstants:
     """Compute the link constants of a model. Traced constants have the given dtype.
 
     The z axis of each link is its joint axis. A joint at anchor a with axis s has the pose (A, a)
@@ -136,21 +136,20 @@ def without_constants(model: Model) -> Model:
     return model if made == (None, None) else model.replace(constants=None, weights=None)
 
 
-def _columns(made: Any) -> Prepared:
-    """Rebuild the `Prepared` link constants from the sparse columns that `with_constants` has
-    stored."""
+def _columns(made: Any) -> ModelConstants:
+    """Rebuild the constants of a model from the sparse columns that `with_constants` has stored."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
     )  # fmt: skip
-    return Prepared(columns, body_R, body_p, Vec3(*(lane(gravity, i) for i in range(3))))
+    return ModelConstants(columns, body_R, body_p, Vec3(*(lane(gravity, i) for i in range(3))))
 
 
 def _cell(x: Lane) -> Any:
     return x if isinstance(x, float) else Cell(x)
 
 
-def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
+def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> ModelConstants:
     given = SimpleNamespace(**leaves)
     links, n = top.links, len(top.links)
     weld_R, weld_p, body_R = _welds(top, given, xp)
@@ -227,7 +226,7 @@ def _prepare(top: Topology, leaves: dict[str, Any], xp, dtype) -> Prepared:
         params=tuple(cast(params[:, k]) for k in range(params.shape[1])),
     )
     lanes = Vec3(*(lane(cast(given.gravity), i) for i in range(3)))
-    return Prepared(columns, whole(to_link_R), whole(to_link_p), lanes)
+    return ModelConstants(columns, whole(to_link_R), whole(to_link_p), lanes)
 
 
 _SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

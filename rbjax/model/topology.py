@@ -24,7 +24,7 @@ from rbjax.joints import DofKind, DofSpec, Flexible, Joint, kind
 WORLD = -1
 
 
-class Span(NamedTuple):
+class JointSlices(NamedTuple):
     """The slices of a joint in q and v.
 
     q: coordinates whose increments are added.
@@ -37,13 +37,13 @@ class Span(NamedTuple):
     attitude: tuple[slice, slice] | None
 
 
-def spans(top: Any) -> Iterator[Span]:
+def joint_slices(top: Any) -> Iterator[JointSlices]:
     """Yield the span of each joint of a topology."""
     for joint, at, dat in zip(top.joints, top.joint_q, top.joint_v, strict=True):
         added = joint.nv - 3 if joint.quaternion else joint.nv
         q, v = slice(at, at + added), slice(dat, dat + added)
         attitude = slice(q.stop, at + joint.nq), slice(v.stop, dat + joint.nv)
-        yield Span(q, v, attitude if joint.quaternion else None)
+        yield JointSlices(q, v, attitude if joint.quaternion else None)
 
 
 @dataclass(frozen=True)
@@ -119,12 +119,12 @@ class Topology:
     @cached_property
     def quaternion_starts(self) -> tuple[int, ...]:
         """The index of each unit quaternion in q."""
-        return tuple(span.attitude[0].start for span in spans(self) if span.attitude)
+        return tuple(span.attitude[0].start for span in joint_slices(self) if span.attitude)
 
     @cached_property
     def turn_starts(self) -> tuple[int, ...]:
         """The index of the angular velocity of each attitude in v."""
-        return tuple(span.attitude[1].start for span in spans(self) if span.attitude)
+        return tuple(span.attitude[1].start for span in joint_slices(self) if span.attitude)
 
     @cached_property
     def dofs(self) -> tuple[Dof, ...]:

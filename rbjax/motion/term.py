@@ -24,7 +24,7 @@ from rbjax.dynamics.algorithms.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.lanes import fusion_barrier
-from rbjax.model import Model, State, Topology, spans
+from rbjax.model import Model, State, Topology, joint_slices
 from rbjax.motion.field import Dynamics, Field, free_motion, moves_stages
 from rbjax.motion.implicit import BDFSolver, StagesSolver, tableau_of
 from rbjax.motion.solver_report import reports
@@ -36,7 +36,7 @@ from rbjax.solvers.compensated import WrappedSolver
 def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
     """Compute the rate q' (nq,) at velocity v (nv,); for a quaternion the product q (0, w) / 2."""
     out = [jnp.zeros(0, q.dtype)]
-    for span in spans(top):
+    for span in joint_slices(top):
         out.append(v[span.v])
         if span.attitude:
             turn, by = span.attitude

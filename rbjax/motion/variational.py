@@ -45,7 +45,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.slopes import Slope
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_zero, mul, total
-from rbjax.model import State, Topology, spans
+from rbjax.model import State, Topology, joint_slices
 from rbjax.motion.field import Field
 from rbjax.rotations.coefficients import stumpff
 from rbjax.solvers.anderson import History, accelerate
@@ -205,7 +205,7 @@ def _on_attitudes(top: Topology, plain: jax.Array, f: Any, *given: jax.Array) ->
     if not top.turn_starts:
         return plain
     out: list[Lane] = list(plain)
-    for span in spans(top):
+    for span in joint_slices(top):
         if span.attitude:
             by = span.attitude[1]
             out[by] = f(*(Vec3(*x[by]) for x in given))

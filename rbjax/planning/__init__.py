@@ -5,7 +5,7 @@ Shortest curves without obstacles: dubins, reeds_shepp -> Path.
 Maps: OccupancyGrid and its DistanceField.
 Collision tests: Footprint, clear, clearance, clear_along.
 Searches with Controls: hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many -> Plan.
-Path smoothing: smooth -> Smoothed.
+Path smoothing: smooth -> SmoothedPath.
 Time-optimal motions within Limits: time_scaling -> TimeScaled, refine -> Refined; Timed.
 
 Poses are (x, y, heading) in m and rad. Leading axes are a batch.
@@ -15,7 +15,7 @@ from rbjax.planning.maps.footprint import Footprint, clear, clearance
 from rbjax.planning.maps.occupancy import DistanceField, OccupancyGrid
 from rbjax.planning.paths.curves import dubins, reeds_shepp
 from rbjax.planning.paths.path import Path, Plan, clear_along
-from rbjax.planning.paths.smoothing import Smoothed, smooth
+from rbjax.planning.paths.smoothing import SmoothedPath, smooth
 from rbjax.planning.planner import drives, methods, plan
 from rbjax.planning.search.a_star import grid_a_star, hybrid_a_star
 from rbjax.planning.search.controls import Controls
@@ -50,7 +50,7 @@ __all__ = [
     "grid_dijkstra_many",
     "hybrid_a_star",
     # refinement
-    "Smoothed",
+    "SmoothedPath",
     "smooth",
     # motions in time
     "Limits",

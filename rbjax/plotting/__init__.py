@@ -14,7 +14,7 @@ from rbjax.plotting.animation import animate
 from rbjax.plotting.charts import time_plot
 from rbjax.plotting.drawing import draw, draw_solids
 from rbjax.plotting.film import Camera, poses
-from rbjax.plotting.policies import Episodes, animate_policy, record_policy
+from rbjax.plotting.policies import RecordedEpisodes, animate_policy, record_policy
 from rbjax.plotting.solid_shapes import Solid, solids
 from rbjax.plotting.stick_figure import skeleton
 from rbjax.plotting.stroboscope import bare, strobe
@@ -46,7 +46,7 @@ __all__ = [
     "STYLE",
     "TEAL",
     "Camera",
-    "Episodes",
+    "RecordedEpisodes",
     "Solid",
     "animate",
     "animate_policy",

@@ -29,7 +29,7 @@ FEW = 8
 
 
 @displayed
-class Episodes(NamedTuple):
+class RecordedEpisodes(NamedTuple):
     """Recorded motion of an environment.
 
     trajectory: q (samples, T, nq), v (samples, T, nv) at control steps. An episode that ends is
@@ -53,7 +53,7 @@ def record_policy(
     samples: int = 1,
     seed: int = 0,
     params: Params | None = None,
-) -> Episodes:
+) -> RecordedEpisodes:
     """Run a policy in an environment and return the motion.
 
     Args:
@@ -66,7 +66,8 @@ def record_policy(
         params: parameters of the environment; None for its own.
 
     Returns:
-        `Episodes`: the trajectory, rewards, ends of episodes, contact forces of the first robot.
+        `RecordedEpisodes`: the trajectory, rewards, ends of episodes, contact forces of the first
+        robot.
 
     Raises:
         InputError: not an environment, or a policy that is not a function.
@@ -116,7 +117,9 @@ def record_policy(
     model = env.default_params.model if params is None else params.model
     first_sample = jax.tree.map(lambda x: x[0], (states, ctrl, drawn))
     contacts = _contacts(env, model, *first_sample)
-    return Episodes(trajectory, np.moveaxis(np.asarray(reward), 0, 1), np.asarray(done).T, contacts)
+    return RecordedEpisodes(
+        trajectory, np.moveaxis(np.asarray(reward), 0, 1), np.asarray(done).T, contacts
+    )
 
 
 def animate_policy(

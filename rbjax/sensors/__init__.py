@@ -64,7 +64,7 @@ from rbjax.sensors.limit_forces import JointLimitForce, TendonLimitForce
 from rbjax.sensors.model_sensors import sense
 from rbjax.sensors.named import ModelSensor, NamedSensor
 from rbjax.sensors.protocol import Kind, Sensor, kinds, register, sensor_of
-from rbjax.sensors.solution import Solution
+from rbjax.sensors.solution import MotionSolution
 
 __all__ = [
     "Accelerations",
@@ -110,7 +110,7 @@ __all__ = [
     "PotentialEnergy",
     "Rangefinder",
     "Sensor",
-    "Solution",
+    "MotionSolution",
     "SubtreeAngularMomentum",
     "SubtreeCenter",
     "SubtreeVelocity",

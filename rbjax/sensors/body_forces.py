@@ -1,6 +1,6 @@
 """Forces on bodies that force sensors subtract: of contacts and of spatial tendons.
 
-Contacts are rows of arrays (`Solution.contacts`). A row that is not in contact has no force.
+Contacts are rows of arrays (`MotionSolution.contacts`). A row that is not in contact has no force.
 Spatial tendons:
     f = T e / d on the end of each straight piece, and -T e / d on its start
 with the direction e and the divisor d of the piece. T is the force that lengthens the tendon, the

@@ -30,7 +30,7 @@ from rbjax.sensors.body_forces import wrenches_of_contacts, wrenches_of_tendons
 from rbjax.spatial import Force
 
 
-class Solution:
+class MotionSolution:
     """The accelerations of a robot at an instant, and the forces of its constraints and contacts.
 
     A contact law computes all of them together. If the law computes steps, they belong to the step
@@ -134,11 +134,11 @@ class Solution:
         return out
 
 
-def solution_of(context: Context) -> Solution:
+def solution_of(context: Context) -> MotionSolution:
     """Return the solution of a context, by the default dynamics if it has none yet."""
     if context.solution is not None:
         return context.solution
-    return context.once(solution_of, lambda: Solution(context))
+    return context.once(solution_of, lambda: MotionSolution(context))
 
 
 def with_solution(
@@ -148,5 +148,5 @@ def with_solution(
 
     memory: of the dynamics before the step that begins at the instant; None for its first step.
     """
-    solution = Solution(context, inputs, dynamics, memory=memory)
+    solution = MotionSolution(context, inputs, dynamics, memory=memory)
     return dataclasses.replace(context, solution=solution)

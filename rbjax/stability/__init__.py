@@ -24,7 +24,7 @@ from rbjax.stability.runs.drift import (
     NO_ROOT,
     NOT_FINITE,
     Invariants,
-    March,
+    LongRun,
     Trend,
     drift,
     trend,
@@ -32,14 +32,14 @@ from rbjax.stability.runs.drift import (
 from rbjax.stability.runs.largest_step import ROLLOUT, measured_stable_step, stable_step
 from rbjax.stability.runs.limit_cycles import LimitCycle, limit_cycle
 from rbjax.stability.runs.linearisation import (
-    Reduced,
+    ReducedLinearisation,
     equilibrium,
     motion_matrices,
     reduced_linearisation,
     state_matrix,
 )
 from rbjax.stability.runs.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
-from rbjax.stability.runs.scenes import Arm, Body, Scene, Truth, scenes, truth
+from rbjax.stability.runs.scenes import Arm, Scene, Top, Truth, scenes, truth
 from rbjax.stability.runs.trials import Outcome, Verdict, attempt, verdict
 from rbjax.stability.theory.linear_analysis import (
     LinearAnalysis,
@@ -102,7 +102,7 @@ __all__ = [
     "state_matrix",
     "motion_matrices",
     "equilibrium",
-    "Reduced",
+    "ReducedLinearisation",
     "reduced_linearisation",
     "stable_step",
     "measured_stable_step",
@@ -112,7 +112,7 @@ __all__ = [
     "trend",
     "Trend",
     "Invariants",
-    "March",
+    "LongRun",
     "DONE",
     "NOT_FINITE",
     "NO_ROOT",
@@ -129,7 +129,7 @@ __all__ = [
     "scenes",
     "Scene",
     "Arm",
-    "Body",
+    "Top",
     "truth",
     "Truth",
     "Hamiltonian",

@@ -2,9 +2,9 @@
 
 from rbjax.validation.comparison import compare
 from rbjax.validation.policies import evaluate_in_mujoco
-from rbjax.validation.report import Error, Report, Row
+from rbjax.validation.report import Error, Report, ReportRow
 
-__all__ = ["Error", "Report", "Row", "compare", "evaluate_in_mujoco"]
+__all__ = ["Error", "Report", "ReportRow", "compare", "evaluate_in_mujoco"]
 
 
 def __dir__() -> list[str]:

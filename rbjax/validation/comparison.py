@@ -26,7 +26,7 @@ from rbjax.validation.reference import (
     smooth,
     trajectory,
 )
-from rbjax.validation.report import Report, Row, relative
+from rbjax.validation.report import Report, ReportRow, relative
 
 #: tolerances of functions of one state: rounding times the condition number of M
 ALGORITHM = {"rbjax f64": 1e-10, "rbjax f32": 1e-4}
@@ -212,12 +212,12 @@ def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
 
 def _rows(
     want: dict, found: dict, tolerances: dict[str, dict[str, float]], floor: float = 1e-3
-) -> tuple[Row, ...]:
+) -> tuple[ReportRow, ...]:
     rows = []
     for quantity, expected in want.items():
         errors = {
             column: relative(values[quantity], expected[: len(values[quantity])], floor)
             for column, values in found.items()
         }
-        rows.append(Row(quantity, errors, tolerances.get(quantity, tolerances[""])))
+        rows.append(ReportRow(quantity, errors, tolerances.get(quantity, tolerances[""])))
     return tuple(rows)

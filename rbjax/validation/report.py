@@ -28,7 +28,7 @@ class Error:
 
 @displayed
 @dataclass(frozen=True)
-class Row:
+class ReportRow:
     """A quantity, with its errors and the largest allowed errors of rbjax.
 
     Fields:
@@ -70,7 +70,7 @@ class Report:
     model: str
     states: int
     seconds: float
-    rows: tuple[Row, ...]
+    rows: tuple[ReportRow, ...]
     switched_off: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
 
@@ -96,7 +96,7 @@ class Report:
         """The columns that were measured."""
         return tuple(c for c in COLUMNS if any(c in row.errors for row in self.rows))
 
-    def row(self, quantity: str) -> Row:
+    def row(self, quantity: str) -> ReportRow:
         """Return the row of a quantity."""
         return next(row for row in self.rows if row.quantity == quantity)
 
@@ -116,7 +116,7 @@ class Report:
             table.add_row(row.quantity, *(self._cell(row, column) for column in self.columns))
         return table
 
-    def _cell(self, row: Row, column: str) -> str:
+    def _cell(self, row: ReportRow, column: str) -> str:
         if column not in row.errors:
             return "-"
         text = f"{row.errors[column].worst:.1e}"

@@ -12,7 +12,7 @@ Optimal control: controlled, which makes the system of an rb.control.Problem.
 Odometry: odometry, poses from wheel angles; HeadingSlip, a model of slip.
 Terms of the equations of motion (S, M, C, B, f, A): reduced, undetermined.
 Motors: TorqueSource, SpeedServo, DCMotor.
-Tyre laws: Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance.
+Tyre laws: LinearTyre, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance.
 Force element for a wheel of any model: TyreOnGround.
 """
 
@@ -21,7 +21,7 @@ from rbjax.wheeled.files.writing import write_mjcf
 from rbjax.wheeled.kinematics.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
 from rbjax.wheeled.models.constrained import full_model_state
 from rbjax.wheeled.models.reduction import Reduced, Undetermined, reduced, undetermined
-from rbjax.wheeled.models.robot_model import Contacts, RobotModel, contacts, rates, start
+from rbjax.wheeled.models.robot_model import RobotModel, WheelContacts, contacts, rates, start
 from rbjax.wheeled.motion.control_system import RobotSystem, controlled
 from rbjax.wheeled.motion.following import (
     Commands,
@@ -37,8 +37,8 @@ from rbjax.wheeled.robot.arrangement import Arrangement
 from rbjax.wheeled.robot.catalogue import kinds, with_trailers
 from rbjax.wheeled.robot.motors import DCMotor, Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.robot.robot import Body, Drive, Robot, Steering, Wheel
-from rbjax.wheeled.tyres.element import Contact, TyreOnGround
-from rbjax.wheeled.tyres.laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
+from rbjax.wheeled.tyres.element import TyreContact, TyreOnGround
+from rbjax.wheeled.tyres.laws import Coulomb, Fiala, LinearTyre, Pacejka, TMeasy
 from rbjax.wheeled.tyres.relaxation import Relaxing
 from rbjax.wheeled.tyres.tyre import RollingResistance, Tyre
 
@@ -46,15 +46,15 @@ __all__ = [
     "Arrangement",
     "Body",
     "Commands",
-    "Contact",
-    "Contacts",
+    "TyreContact",
+    "WheelContacts",
     "Coulomb",
     "DCMotor",
     "Drive",
     "Fiala",
     "RobotModel",
     "HeadingSlip",
-    "Linear",
+    "LinearTyre",
     "Motor",
     "Pacejka",
     "Reduced",

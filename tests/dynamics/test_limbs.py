@@ -114,7 +114,7 @@ def quadruped() -> rb.Model:
 
 def test_robots_are_parted_where_a_reader_would():
     assert sizes(robot(G1).model) == (9, [(2, 6), (2, 7)])
-    assert partition(robot(G1).model.topology).written == 22
+    assert partition(robot(G1).model.topology).links_in_program == 22
     assert sizes(robot("gymnasium/humanoid.xml").model) == (9, [(2, 4), (2, 3)])
     assert sizes(quadruped()) == (6, [(4, 2)])
     assert sizes(walker().model) == (12, [(2, 5), (3, 3)])

@@ -88,7 +88,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "pack",
               "polynomial_sincos", "quaternion_matrix", "rotation_z", "safe_sqrt", "sincos",
               "sub", "total", "unpack"},
-    "model": {"with_constants", "partition", "prepare", "spans",
+    "model": {"with_constants", "partition", "prepare", "joint_slices",
               "without_constants"},
     "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip

@@ -61,7 +61,7 @@ WHEELED: Calls = {
                 "friction": 0.01, "rotor_inertia": 1e-4},
     "Fiala": {"stiffness": 12.0, "friction": 0.8, "smooth_speed": 0.05},
     "HeadingSlip": {"coefficients": np.zeros((3, 4)), "arm": 0.2, "speed": 0.1, "harmonics": 1},
-    "Linear": {"stiffness": 12.0, "friction": 0.8},
+    "LinearTyre": {"stiffness": 12.0, "friction": 0.8},
     "Pacejka": {"stiffness_factor": 10.0, "shape": 1.6, "peak": 1.0, "curvature": 0.5},
     "Relaxing": {"law": wheeled.Fiala(12.0, 0.8), "length": 0.3, "damping_time": 0.01},
     "RollingResistance": {"coefficient": 0.01, "smooth_speed": 0.05},

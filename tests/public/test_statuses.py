@@ -67,7 +67,7 @@ REACHED_TEXTS = {
     "Plan, goal in collision": ("planning/test_statuses.py::CASES", "goal in collision"),
     "Plan, count exhausted": ("planning/test_statuses.py::CASES", "count exhausted"),
     "Refined": ("planning/test_refined_statuses.py::test_every_status_of_refine", "infeasible"),
-    "Smoothed": ("planning/test_refined_statuses.py::test_every_status_of_smooth", "status"),
+    "SmoothedPath": ("planning/test_refined_statuses.py::test_every_status_of_smooth", "status"),
     "estimators, converged": (LEAST_SQUARES, '"converged"'),
     "estimators, budget": (LEAST_SQUARES, "not converged"),
     "estimators, stuck": (LEAST_SQUARES, "stuck"),

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.sensors import ContactForces, Context, Solution
+from rbjax.sensors import ContactForces, Context, MotionSolution
 from tests.sensors.equipped import loaded, random_motion, rich, sensed_by_mujoco
 from tests.tolerances import F64_PARITY, relative_error
 
@@ -108,7 +108,7 @@ def test_contact_forces_are_felt():
     assert d.ncon > 2
     state = rb.State(jnp.asarray(d.qpos), jnp.asarray(d.qvel))
     context = Context.of(model, 0.0, state, None)
-    solution = Solution(context, contacts=contacts_of(m, d), acceleration=jnp.asarray(d.qacc))
+    solution = MotionSolution(context, contacts=contacts_of(m, d), acceleration=jnp.asarray(d.qacc))
     context = dataclasses.replace(context, solution=solution)
     with jax.disable_jit():
         found = np.concatenate([sensor(context) for sensor in model.sensors])

@@ -8,7 +8,7 @@ import rbjax as rb
 from rbjax.validation import compare
 from rbjax.validation.contacts import with_contacts
 from rbjax.validation.reference import smooth
-from rbjax.validation.report import COLUMNS, Error, Report, Row, relative
+from rbjax.validation.report import COLUMNS, Error, Report, ReportRow, relative
 
 QUANTITIES = (
     "poses", "velocities", "mass matrix", "bias forces", "forward dynamics", "one step",
@@ -62,7 +62,7 @@ def test_what_is_switched_off_is_said() -> None:
 
 def test_a_wrong_answer_is_out_of_tolerance() -> None:
     def report(worst: float) -> Report:
-        row = Row("bias", {"rbjax f64": Error(worst, worst)}, {"rbjax f64": 1e-10})
+        row = ReportRow("bias", {"rbjax f64": Error(worst, worst)}, {"rbjax f64": 1e-10})
         return Report("robot", 1, 1.0, (row,), ())
 
     assert report(1e-12).success

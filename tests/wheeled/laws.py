@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.wheeled import Coulomb, Fiala, Linear, Pacejka, TMeasy
+from rbjax.wheeled import Coulomb, Fiala, LinearTyre, Pacejka, TMeasy
 
 # alike along and across, and not
 LAWS = {
-    "linear": Linear(12.0),
-    "linear, two": Linear([12.0, 9.0]),
-    "saturated": Linear(12.0, 0.9),
-    "saturated, two": Linear([12.0, 9.0], [0.9, 0.7]),
+    "linear": LinearTyre(12.0),
+    "linear, two": LinearTyre([12.0, 9.0]),
+    "saturated": LinearTyre(12.0, 0.9),
+    "saturated, two": LinearTyre([12.0, 9.0], [0.9, 0.7]),
     "coulomb": Coulomb(0.8),
     "coulomb, two": Coulomb([0.8, 0.6], [0.02, 0.03]),
     "fiala": Fiala(12.0, 0.8),

@@ -98,7 +98,7 @@ def test_an_inverse_root_and_its_rate():
 def test_a_slip_of_none_is_the_identity():
     """V = C z with z = (arm w, |u|, ux, uy), without terms that change with the speed."""
     none = HeadingSlip.none(arm=0.2)
-    assert (none.harmonics, none.faster) == (1, -1)
+    assert (none.harmonics, none.speed_harmonics) == (1, -1)
     assert none.coefficients.tolist() == [[0, 0, 1, 0], [0, 0, 0, 1], [1, 0, 0, 0]]
 
 

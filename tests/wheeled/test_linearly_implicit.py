@@ -62,7 +62,7 @@ def test_endlessly_stiff_tyres_roll(name):
     """The step of the rolling robot, at any stiffness. (A traction without limit transfers loads
     without limit, where the centre of mass is above the ground.)"""
     motor = DCMotor(2.0, 0.05, gear=20.0)
-    stiff = made(name, wheeled.Linear(1e8, smooth_speed=1.0), motor, height=0.0)
+    stiff = made(name, wheeled.LinearTyre(1e8, smooth_speed=1.0), motor, height=0.0)
     rolling = wheeled.at(stiff.robot, "reduced")
     twist, u = [0.3, 0.0, 0.2], COMMANDS[name]
     slip, roll = (end(x, wheeled.start(x, twist=twist), u, 0.5, 50) for x in (stiff, rolling))

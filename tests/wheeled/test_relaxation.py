@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.wheeled import Coulomb, Fiala, Linear, Relaxing
+from rbjax.wheeled import Coulomb, Fiala, LinearTyre, Relaxing
 from tests.wheeled.laws import EVERY, LAWS, limits, numbers, replaced, slopes_agree
 
 MOTION = 8.0, 0.4, 8.3
@@ -31,7 +31,7 @@ def test_steady_traction_is_the_laws(law):
 
 def test_step_response():
     """A linear law that starts to slip: exponential, of the length sigma + v tau."""
-    tyre = Relaxing(Linear([12.0, 9.0], smooth_speed=1e-5), [0.2, 0.4], 0.03)
+    tyre = Relaxing(LinearTyre([12.0, 9.0], smooth_speed=1e-5), [0.2, 0.4], 0.03)
     v, slides = 3.0, np.array([-0.2, 0.3])
     sigma = np.array([0.2, 0.4])
 

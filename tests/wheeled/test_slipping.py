@@ -8,7 +8,7 @@ import pytest
 from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
+from rbjax.wheeled import Fiala, LinearTyre, Relaxing, RollingResistance, TMeasy
 from rbjax.wheeled.kinematics.velocities import contact_velocity, twists_of
 from rbjax.wheeled.models.equations import kinetic_energy, potential_energy
 from rbjax.wheeled.models.forces import wheel_loads
@@ -28,7 +28,7 @@ def test_stiff_tyres_roll_without_slip(kind) -> None:
     due = wheeled.simulate(ideal, wheeled.start(ideal, twist=twist), [0.0, 0.5], u).q[-1, :3]
     apart = []
     for stiffness in (20.0, 200.0):
-        slips = wheeled.at(robot, "slipping", tyre=Linear(stiffness, smooth_speed=0.5))
+        slips = wheeled.at(robot, "slipping", tyre=LinearTyre(stiffness, smooth_speed=0.5))
         start = wheeled.start(slips, twist=twist)
         found = wheeled.simulate(slips, start, [0.0, 0.5], u, tolerance=1e-8).q[-1, :3]
         apart.append(float(np.abs(found - due).max()))

@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.forces import Context
-from rbjax.wheeled import Coulomb, Fiala, Linear, Relaxing, RollingResistance, TyreOnGround
+from rbjax.wheeled import Coulomb, Fiala, LinearTyre, Relaxing, RollingResistance, TyreOnGround
 from tests.constraints.rows import tree
 from tests.constraints.test_rolling import ORACLE, disc, on_the_plane
 from tests.tolerances import GRADIENT
@@ -62,7 +62,7 @@ def test_power(law, damping):
 
         path = lambda s: stored(rb.integrate(model, state.q, s * state.v))  # noqa: E731
         _, storing = jax.jvp(path, (0.0,), (1.0,))
-        slides = at.load * (at.mu[0] * at.sliding[0] + at.mu[1] * at.sliding[1])
+        slides = at.load * (at.traction[0] * at.sliding[0] + at.traction[1] * at.sliding[1])
         drag = wheel.resistance.torque(at.load, at.lever, at.lever * at.spin) * at.spin
         return generalized_power(model, state), storing, slides, drag, at.load, at.depth
 
@@ -120,7 +120,7 @@ def test_braking():
 
 def test_a_push_from_the_side():
     """A rolling wheel drifts until c s = F / N; the way there is exponential."""
-    wheel = TyreOnGround(GROUND, HUB, Linear([50.0, 9.0], smooth_speed=0.05), R, 2e4)
+    wheel = TyreOnGround(GROUND, HUB, LinearTyre([50.0, 9.0], smooth_speed=0.05), R, 2e4)
     model = on_a_carriage(f"{ALONG},{ACROSS},{UP},spin").with_forces(wheel)
     state = at_rest(model, wheel, v0=4.0)
     lever = state.q[2]
@@ -139,7 +139,7 @@ def test_a_push_from_the_side():
 def test_coasting():
     """Rolling resistance slows what turns and what moves: c N = (m + I / D^2) a."""
     drag = RollingResistance(0.02, 0.01)
-    wheel = TyreOnGround(GROUND, HUB, Linear(50.0), R, 2e4, resistance=drag)
+    wheel = TyreOnGround(GROUND, HUB, LinearTyre(50.0), R, 2e4, resistance=drag)
     model = on_a_carriage(f"{ALONG},{UP},spin").with_forces(wheel)
     state = at_rest(model, wheel, v0=4.0)
     lever = state.q[1]
@@ -202,7 +202,7 @@ def test_the_roll_speed_is_that_of_the_contact_on_the_ground():
     turn = np.array(oracle["R0"]).reshape(3, 3)
     start = on_the_plane(turn, np.array(oracle["omega0"]), oracle["com0"])
     free, hub = disc().replace(constraints=()), rc.Place.on(body="disc")
-    wheel = TyreOnGround(GROUND, hub, Linear(1.0), jnp.asarray(p["r"]), 1e3)
+    wheel = TyreOnGround(GROUND, hub, LinearTyre(1.0), jnp.asarray(p["r"]), 1e3)
 
     def at(s):
         q = rb.integrate(free, start.q, s * start.v)
@@ -232,7 +232,7 @@ def test_the_limit_is_rolling_without_slip():
     def off(k):
         # critically damped, so that what the start lacks in depth dies out
         wheel = TyreOnGround(
-            GROUND, hub, Linear(k / 1e3, smooth_speed=0.1), jnp.asarray(p["r"]), k,
+            GROUND, hub, LinearTyre(k / 1e3, smooth_speed=0.1), jnp.asarray(p["r"]), k,
             2 * jnp.sqrt(k * p["m"]), 1e-5,
         )  # fmt: skip
         model = free.with_forces(wheel)

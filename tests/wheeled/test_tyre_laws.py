@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.wheeled import Coulomb, Fiala, Linear, Pacejka, TMeasy
+from rbjax.wheeled import Coulomb, Fiala, LinearTyre, Pacejka, TMeasy
 from tests.tolerances import F64_ROUNDING
 from tests.wheeled.laws import EVERY, LAWS, limits, numbers, slopes_agree
 
@@ -185,7 +185,10 @@ def test_as_a_thread(law):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Linear(-1.0), r"Linear\(stiffness=...\): got -1.0, expected numbers above 0"),
+        (
+            lambda: LinearTyre(-1.0),
+            r"LinearTyre\(stiffness=...\): got -1.0, expected numbers above 0",
+        ),
         (lambda: Fiala(10.0, [1, 2, 3.0]), r"Fiala\(friction=...\): got the shape \(3,\), expect"),
         (lambda: Pacejka(10.0, 2.5, 1.0), r"Pacejka\(shape=...\): got 2.5, expected numbers of at"),
         (lambda: Pacejka(10.0, 1.5, 1.0, 1.2), r"curvature=...\): got 1.2, expected .* at most 1"),
@@ -194,8 +197,8 @@ def test_as_a_thread(law):
         (lambda: Coulomb(0.8, smooth_speed=0.0), "smooth_speed=.* above 0"),
         (lambda: Coulomb(np.nan), "expected finite numbers"),
         (lambda: Coulomb("wet"), "got str, expected an array of numbers"),
-        (lambda: Linear(9.0, "wet"), r"Linear\(friction=...\): got str, expected an array"),
-        (lambda: Linear(9.0, np.inf), "got inf at"),
+        (lambda: LinearTyre(9.0, "wet"), r"LinearTyre\(friction=...\): got str, expected an array"),
+        (lambda: LinearTyre(9.0, np.inf), "got inf at"),
         (lambda: Coulomb(0.8, smooth_speed=[0.1, 0.1]), r"got the shape \(2,\), expected a number"),
     ],
 )

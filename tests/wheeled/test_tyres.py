@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.wheeled import Linear, RollingResistance
+from rbjax.wheeled import LinearTyre, RollingResistance
 from tests.wheeled.laws import EVERY, by_complex_step, slopes_agree
 
 # u_x, u_y, r phi': rolls, stands, is locked, spins on the spot, backwards, against its way, drifts
@@ -18,7 +18,7 @@ MOTIONS = np.array([
 
 def test_slip():
     """Far above v_n the theoretical slip, whichever way the wheel turns."""
-    law = Linear(1.0, smooth_speed=1e-3)
+    law = LinearTyre(1.0, smooth_speed=1e-3)
     for ux, uy, roll in MOTIONS:
         if abs(roll) < 1e-3:
             continue
@@ -71,7 +71,7 @@ def test_rolling_resistance():
 
 @pytest.mark.parametrize("wrong", [[0.01, 0.02, 0.03], float("nan")], ids=["shape", "nan"])
 @pytest.mark.parametrize("make", [
-    RollingResistance, rb.wheeled.Linear, lambda x: rb.wheeled.Fiala(20.0, x),
+    RollingResistance, rb.wheeled.LinearTyre, lambda x: rb.wheeled.Fiala(20.0, x),
     lambda x: rb.wheeled.DCMotor(x, 0.05), lambda x: rb.wheeled.SpeedServo(0.4, x),
 ], ids=["resistance", "linear", "fiala", "motor", "servo"])  # fmt: skip
 def test_wrong_numbers_are_rejected(make, wrong):

@@ -39,7 +39,7 @@ from rbjax.dynamics.algorithms.frames import generalized_forces
 from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.lanes import matvec
-from rbjax.model import Model, State, spans
+from rbjax.model import Model, State, joint_slices
 from rbjax.rotations import so3
 
 
@@ -109,7 +109,7 @@ def tracking_acceleration(
     q, v = state.q, state.v
     e = difference(model, q, desired.q)
     a = desired.a + D * (desired.v - v) + K * e
-    for span in spans(model.topology):
+    for span in joint_slices(model.topology):
         if span.attitude:
             at = span.attitude[1]
             turning = _turning(e[at], v[at], desired.v[at], desired.a[at], K[at], D[at])

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from rbjax.arguments import ArrayLike
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Lane, Vec3, fusion_barrier, horner, sub
-from rbjax.model import Model, spans
+from rbjax.model import Model, joint_slices
 from rbjax.rotations import quaternion
 from rbjax.rotations.coefficients import stumpff
 
@@ -23,7 +23,7 @@ from rbjax.rotations.coefficients import stumpff
 def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
     """Compute the configuration q + dq on lanes. The resulting quaternions have unit length."""
     out: list[Lane] = []
-    for span in spans(top):
+    for span in joint_slices(top):
         out += [a + b for a, b in zip(q[span.q], dq[span.v], strict=True)]
         if span.attitude:
             turn, by = span.attitude
@@ -79,7 +79,7 @@ def _with_attitudes(
     """Replace the angular velocities w in v by w + a u x w + b u x (u x w).
     `coefficients` returns a and b from |u|^2."""
     out: list[Lane] = []
-    for span in spans(top):
+    for span in joint_slices(top):
         out += v[span.v]
         if span.attitude:
             by = span.attitude[1]
@@ -107,7 +107,7 @@ def increment_rate(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
 def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
     """Compute the tangent vector q1 - q0 on lanes, for quaternions of any nonzero length."""
     out: list[Lane] = []
-    for span in spans(top):
+    for span in joint_slices(top):
         out += [sub(b, a) for a, b in zip(q0[span.q], q1[span.q], strict=True)]
         if span.attitude:
             (aw, ax, ay, az), (w, x, y, z) = (p[span.attitude[0]] for p in (q0, q1))

@@ -20,7 +20,7 @@ from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.rolled import Rolled
 from rbjax.dynamics.drivers.rolled import allocate_slots as allocate_slots
 from rbjax.dynamics.drivers.unrolled import Unrolled
-from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
+from rbjax.model import DRIVER_NAMES, Model, ModelConstants, partition, prepare
 
 #: the largest number of velocity coordinates for which "auto" is "unrolled"; otherwise it is
 #: "rolled". Unrolled code runs faster but compiles slower
@@ -40,7 +40,7 @@ CPU_UNROLLED_UP_TO = 26
 #: a GPU, with a thread for each link of each sample
 KERNELS_ABOVE = 8
 
-DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
+DRIVERS: dict[str, Callable[[Model, ModelConstants], Driver]] = dict(
     zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)
 )
 

@@ -18,7 +18,7 @@ import jax
 
 from rbjax.joints import FrameKind, JointMotion
 from rbjax.lanes import Lane, Vec3
-from rbjax.model import Dof, LinkConstants, Prepared, Topology
+from rbjax.model import Dof, LinkConstants, ModelConstants, Topology
 from rbjax.spatial import Motion
 
 PerLink = Any  # a pytree in the form of the driver
@@ -32,7 +32,7 @@ class Driver(abc.ABC):
     """An executor of recursions over the tree of a robot."""
 
     topology: Topology
-    prepared: Prepared
+    prepared: ModelConstants
     constants: PerLink
     #: True if the whole form is a list
     listed: bool

@@ -45,7 +45,7 @@ from rbjax.lanes import (
     total,
 )
 from rbjax.lanes.primitives import whole_cotangent
-from rbjax.model import WORLD, Group, LinkConstants, Model, Prepared, partition
+from rbjax.model import WORLD, Group, LinkConstants, Model, ModelConstants, partition
 from rbjax.model.links import lane
 
 
@@ -53,7 +53,7 @@ class Limbs(unrolled.ListDriver):
     """The driver that unrolls the trunk of a tree, and loops over the equal limbs of each group.
     The columns of a per-link value are a list for each group, over the positions in a limb."""
 
-    def __init__(self, model: Model, prepared: Prepared):
+    def __init__(self, model: Model, prepared: ModelConstants):
         top = self.topology = model.topology
         self.prepared = prepared
         self._trunk, self._groups = partition(top)

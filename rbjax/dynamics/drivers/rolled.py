@@ -43,7 +43,7 @@ from rbjax.lanes import (
 )
 from rbjax.lanes.arrays import select
 from rbjax.lanes.primitives import whole_cotangent
-from rbjax.model import WORLD, Model, Prepared, Topology
+from rbjax.model import WORLD, Model, ModelConstants, Topology
 from rbjax.model.cells import lane_of, stacked
 from rbjax.spatial import Motion
 
@@ -53,7 +53,7 @@ class Rolled(Driver):
 
     listed = False
 
-    def __init__(self, model: Model, prepared: Prepared):
+    def __init__(self, model: Model, prepared: ModelConstants):
         top = self.topology = model.topology
         self.prepared = prepared
         n = top.nv
@@ -279,7 +279,7 @@ def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
 
 
 def joint_columns(
-    top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
+    top: Topology, prepared: ModelConstants, q: jax.Array, v: jax.Array | None, start: int = 0
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
     """Return a function that computes a `JointMotion`, and the columns that are its arguments.
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.drivers.contract import Driver, Step, dof_motion, frame_motions
 from rbjax.joints import JointMotion
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, pack, total, unpack
-from rbjax.model import WORLD, Model, Prepared
+from rbjax.model import WORLD, Model, ModelConstants
 
 
 class ListDriver(Driver):
@@ -42,7 +42,7 @@ class ListDriver(Driver):
 class Unrolled(ListDriver):
     """The driver that writes the steps of all links into the program. Per-link values are lists."""
 
-    def __init__(self, model: Model, prepared: Prepared | None):
+    def __init__(self, model: Model, prepared: ModelConstants | None):
         """Create a driver. `prepared` is None if the steps need no constants of the links."""
         self.topology, self.constants = model.topology, []
         if prepared is not None:

@@ -42,7 +42,7 @@ RESTORING = 3  # Newton steps to the goal
 FACTOR = 4.0  # the largest change of a length
 
 
-class Smoothed(Record):
+class SmoothedPath(Record):
     """A smoothed path. Leading axes are a batch.
 
     Fields:
@@ -148,7 +148,7 @@ def _restored(p: _Problem, z: jax.Array, low: jax.Array, high: jax.Array) -> jax
 def _smooth(
     path: Path, field: DistanceField, footprint: Footprint, radius: jax.Array, margin: jax.Array,
     iterations: int, parts: int,
-) -> Smoothed:  # fmt: skip
+) -> SmoothedPath:  # fmt: skip
     a, b, turn = (path.steps[:, i] for i in range(3))
     arcs = (a != 0) & (b == 0)
     unit = jnp.where(arcs, jnp.abs(a), 0.0)
@@ -176,7 +176,7 @@ def _smooth(
     begin = z, first, jnp.full_like(first, 0.1), jnp.zeros((), int)
     (z, cost, _, taken), _ = jax.lax.scan(iteration, begin, length=iterations)
     steps = jnp.where(taken > 0, p.steps(z), path.steps)
-    return Smoothed(Path(path.start, steps), taken, jnp.stack([first, cost]))
+    return SmoothedPath(Path(path.start, steps), taken, jnp.stack([first, cost]))
 
 
 _program = compiled(_smooth, options=wide_vectors, static_argnames=("iterations", "parts"))
@@ -190,7 +190,7 @@ def smooth(
     margin: Any = None,
     iterations: int = 30,
     parts: int = 4,
-) -> Smoothed:
+) -> SmoothedPath:
     """Smooth a path with fixed ends and gears: shorter, with less curvature, further from
     obstacles.
 
@@ -207,8 +207,8 @@ def smooth(
         parts: the number of parts of each step of the path in the collision test.
 
     Returns:
-        `Smoothed`. Its path is clear of obstacles with a curvature of at most 1 / radius, or it is
-        the given path.
+        `SmoothedPath`. Its path is clear of obstacles with a curvature of at most 1 / radius, or it
+        is the given path.
 
     Raises:
         InputError: wrong types, a batch, a radius or margin that is not above zero.

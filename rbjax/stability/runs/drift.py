@@ -47,15 +47,15 @@ SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
 WALK = 0.7  # correlation of neighbours beyond which residuals may be a random walk
 
 
-#: values of `March.ending`
+#: values of `LongRun.ending`
 DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
 
 Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
 
 
 @displayed
-class March(eqx.Module):
-    """The result of `drift`: samples along a run, and how it ended.
+class LongRun(eqx.Module):
+    """Samples along a long run, and how it ended.
 
     Fields:
         ts: (K + 1,) s; nan after an early end.
@@ -82,7 +82,7 @@ def long_run(
     every: int,
     samples: int,
     args: Any = None,
-) -> March:
+) -> LongRun:
     """Run samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and
     args."""
     y0 = as_floats("a run", y0)
@@ -92,7 +92,7 @@ def long_run(
 
 
 @eqx.filter_jit
-def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
+def _run(term, solver, y0, dt, keep, every, samples, args) -> LongRun:
     def sound(state):
         _, ending, _, _ = state
         return ending == DONE
@@ -118,7 +118,7 @@ def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
     (steps, ending, y, _), later = jax.lax.scan(sample, start, length=samples)
     first = (0 * dt, keep(0 * dt, y0, args))
     ts, kept = jax.tree.map(lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), first, later)
-    return March(ts, kept, y, steps, ending)
+    return LongRun(ts, kept, y, steps, ending)
 
 
 def finite(y: Any) -> jax.Array:
@@ -313,7 +313,7 @@ def drift(
     steps: int,
     samples: int = 1000,
     args: Any = None,
-) -> March:
+) -> LongRun:
     """Sample invariants along a run of equal steps, in memory that does not grow with the steps.
 
     y_{n+1} = step(t_n, h, y_n). keep(t, y, args) is sampled at the start and at `samples` later
@@ -333,7 +333,7 @@ def drift(
         args: arguments of the term. For a robot the model is used.
 
     Returns:
-        `March`: ts (samples + 1,), kept, y, steps, ending. After an early end (ending is not
+        `LongRun`: ts (samples + 1,), kept, y, steps, ending. After an early end (ending is not
         `DONE`) ts is nan, which `trend` does not accept.
 
     Raises:

@@ -52,7 +52,7 @@ def state_matrix(model: Model, state: State, ctrl: ArrayLike | None = None) -> j
 
 
 @displayed
-class Reduced(NamedTuple):
+class ReducedLinearisation(NamedTuple):
     """Linearisation on the tangent space of the constraints: d/dt dz = A dz + B du.
 
     Fields:
@@ -66,7 +66,9 @@ class Reduced(NamedTuple):
     basis: np.ndarray
 
 
-def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any = None) -> Reduced:
+def reduced_linearisation(
+    model: Model, state: State, ctrl: Any = None, dt: Any = None
+) -> ReducedLinearisation:
     """Linearise the motion about an equilibrium, on the tangent space of the constraints:
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
@@ -83,7 +85,7 @@ def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any 
         dt: step in seconds of the discrete form; None for the continuous one.
 
     Returns:
-        `Reduced(A, B, basis)`. A gain K of du = K dz becomes du = K basis^T dx.
+        `ReducedLinearisation(A, B, basis)`. A gain K of du = K dz becomes du = K basis^T dx.
 
     Raises:
         InputError: a state off the constraints; wrong shapes, values that are not finite.
@@ -101,7 +103,7 @@ def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any 
     state = found["state"]
     A, B = (np.asarray(x, float) for x in linearise(model, state, found.get("ctrl"), dt))
     if not model.constraints:
-        return Reduced(A, B, np.eye(len(A)))
+        return ReducedLinearisation(A, B, np.eye(len(A)))
     off, C = (np.asarray(x, float) for x in _tangent(model, state))
     near = np.sqrt(np.finfo(np.asarray(state.q).dtype).eps)
     if np.abs(off).max(initial=0.0) > near:
@@ -113,7 +115,7 @@ def reduced_linearisation(model: Model, state: State, ctrl: Any = None, dt: Any 
     C = C / np.where(size > near, size, np.inf)
     _, s, V = np.linalg.svd(C)
     T = V[int((s > near).sum()) :].T
-    return Reduced(T.T @ A @ T, T.T @ B, T)
+    return ReducedLinearisation(T.T @ A @ T, T.T @ B, T)
 
 
 @jax.jit

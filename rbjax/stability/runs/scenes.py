@@ -147,7 +147,7 @@ def spherical(t: Any, y: Any, numbers: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Body:
+class Top:
     """A rigid body about a fixed point, with its centre of mass on its third axis.
 
     Fields:
@@ -206,7 +206,7 @@ class Scene:
     """A system, its initial state, and 200 samples of `every` equal steps each.
 
     Fields:
-        title, system: description, and `Arm` or `Body`.
+        title, system: description, and `Arm` or `Top`.
         start: (q, v) of an arm, or (quaternion, w) of a body.
         dt, every: step, s, and number of steps between samples.
         refine: number of steps of the reference in one dt.
@@ -216,7 +216,7 @@ class Scene:
     """
 
     title: str
-    system: Arm | Body
+    system: Arm | Top
     start: tuple[tuple[float, ...], tuple[float, ...]]
     dt: float = 1e-3
     every: int = 5
@@ -272,7 +272,7 @@ def _reference(scene: Scene, refine: int) -> np.ndarray:
     first, second = (np.array(x) for x in scene.start)
     system, equations = scene.system, planar
     args: Any = None
-    if isinstance(system, Body):
+    if isinstance(system, Top):
         equations, args = tumbling, (np.array(system.inertia), np.asarray(system.weight))
     elif system.gimbal:
         equations = spherical
@@ -300,7 +300,7 @@ def kept(t: Any, y: Any, args: Any) -> Any:
 
 def deviation(scene: Scene, q: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """Return the error (T, n) of configurations q (T, nq): angles in rad, or the bob in m."""
-    if isinstance(scene.system, Body):
+    if isinstance(scene.system, Top):
         unit, real = unit_rows(q), unit_rows(observed)
         gap = np.minimum(np.linalg.norm(unit - real, axis=1), np.linalg.norm(unit + real, axis=1))
         return 4 * np.arcsin(np.minimum(gap / 2, 1.0))[:, None]
@@ -358,7 +358,7 @@ def scenes() -> dict[str, Scene]:
     )
     out["fast_top"] = Scene(
         "top at 1,000 rad/s, 1 rad a step",
-        Body((0.0215, 0.0215, 0.0012), 0.981),
+        Top((0.0215, 0.0215, 0.0012), 0.981),
         ((np.cos(0.15), np.sin(0.15), 0.0, 0.0), (0.0, 0.0, 1000.0)),
         refine=32,
         scale=0.981,
@@ -366,7 +366,7 @@ def scenes() -> dict[str, Scene]:
     )
     out["dzhanibekov"] = Scene(
         "Dzhanibekov's flips over 1,000 s",
-        Body((1.0, 2.0, 3.5)),
+        Top((1.0, 2.0, 3.5)),
         ((1.0, 0.0, 0.0, 0.0), (0.01, 1.0, 0.01)),
         dt=0.02,
         every=250,
@@ -383,7 +383,7 @@ def scenes() -> dict[str, Scene]:
     )
     out["f32"] = Scene(
         "a top in f32 against f64, 500 s",
-        Body((1.0, 1.0, 0.5), 2.0),
+        Top((1.0, 1.0, 0.5), 2.0),
         ((np.cos(0.25), np.sin(0.25), 0.0, 0.0), (0.0, 0.3, 6.0)),
         dt=2.0**-7,
         every=320,

@@ -36,8 +36,8 @@ from rbjax.stability.runs.drift import DONE, NO_ROOT, NOT_FINITE, long_run, tren
 from rbjax.stability.runs.scenes import (
     SAMPLES,
     Arm,
-    Body,
     Scene,
+    Top,
     Truth,
     deviation,
     kept,
@@ -317,7 +317,7 @@ def _judged(scene: Scene, run: SceneRun, observed: np.ndarray) -> Verdict:
     if ending is None and scene.scale:
         energy = system.energy(run.q, run.v)
         invariants["energy"] = (energy - energy[0]) / scene.scale
-    if ending is None and isinstance(system, Body):
+    if ending is None and isinstance(system, Top):
         manifold = np.abs(np.linalg.norm(run.q, axis=1) - 1)
         if not system.weight:
             momentum = np.linalg.norm(np.array(system.inertia) * run.v, axis=1)

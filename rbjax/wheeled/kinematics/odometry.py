@@ -45,7 +45,7 @@ class HeadingSlip(Record):
         arm: (), the size of the robot, m.
         speed: (), m/s.
         harmonics: static, K, 1 or more.
-        faster: static, J, the harmonics that change with the speed; -1 for none.
+        speed_harmonics: static, J, the harmonics that change with the speed; -1 for none.
 
     Example:
         >>> import rbjax as rb
@@ -59,31 +59,33 @@ class HeadingSlip(Record):
     arm: jax.Array = number()
     speed: jax.Array = number(default=0.1)
     harmonics: int = eqx.field(static=True, default=1)
-    faster: int = eqx.field(static=True, default=-1)
+    speed_harmonics: int = eqx.field(static=True, default=-1)
 
     def __check_init__(self) -> None:
         above = {"arm": 0.0, "speed": 0.0}
         check_ranges(self, tables=("coefficients",), above=above)
-        K, J = self.harmonics, self.faster
+        K, J = self.harmonics, self.speed_harmonics
         if not (isinstance(K, int) and isinstance(J, int) and K >= 1 and J >= -1):
             raise InputError(
-                f"HeadingSlip: harmonics is {K!r} and faster {J!r}, expected integers of at "
-                "least 1 and -1"
+                f"HeadingSlip: harmonics is {K!r} and speed_harmonics {J!r}, expected "
+                "integers of at least 1 and -1"
             )
         due = (3, 1 + (2 * K + 1) + (2 * J + 1 if J >= 0 else 0))
         if jnp.shape(self.coefficients) != due:
             raise InputError(
                 f"HeadingSlip: coefficients has shape {jnp.shape(self.coefficients)}, expected "
-                f"{due} with harmonics={K} and faster={J}"
+                f"{due} with harmonics={K} and speed_harmonics={J}"
             )
 
     @classmethod
-    def none(cls, arm: Any, harmonics: int = 1, faster: int = -1, speed: Any = 0.1) -> HeadingSlip:
+    def none(
+        cls, arm: Any, harmonics: int = 1, speed_harmonics: int = -1, speed: Any = 0.1
+    ) -> HeadingSlip:
         """Make the model of wheels that do not slip, with the robot's twist equal to the rolling
         twist."""
-        terms = 1 + (2 * harmonics + 1) + (2 * faster + 1 if faster >= 0 else 0)
+        terms = 1 + (2 * harmonics + 1) + (2 * speed_harmonics + 1 if speed_harmonics >= 0 else 0)
         C = jnp.zeros((3, terms)).at[jnp.arange(3), jnp.array([2, 3, 0])].set(1.0)
-        return cls(C, arm, speed, harmonics, faster)
+        return cls(C, arm, speed, harmonics, speed_harmonics)
 
     def terms(self, twist: Any) -> jax.Array:
         """Compute the terms z (..., terms) from twists u (..., 3)."""
@@ -92,13 +94,13 @@ class HeadingSlip(Record):
         some = jnp.where(s > 0, s, 1.0)
         e = jnp.stack([jnp.where(s > 0, u[..., 0] / some, 1.0), u[..., 1] / some], -1)
         waves = [jnp.ones_like(s), e[..., 0], e[..., 1]]
-        for _ in range(1, max(self.harmonics, self.faster)):
+        for _ in range(1, max(self.harmonics, self.speed_harmonics)):
             c, d = waves[-2:]
             waves += [c * e[..., 0] - d * e[..., 1], d * e[..., 0] + c * e[..., 1]]
         out = [self.arm * u[..., 2], *(s * x for x in waves[: 2 * self.harmonics + 1])]
-        if self.faster >= 0:
+        if self.speed_harmonics >= 0:
             more = (s / self.speed - 1) * s
-            out += [more * x for x in waves[: 2 * self.faster + 1]]
+            out += [more * x for x in waves[: 2 * self.speed_harmonics + 1]]
         return jnp.stack(out, -1)
 
     def columns(self, twist: Any) -> jax.Array:

@@ -236,7 +236,7 @@ def _rates(model: RobotModel, state: State, u: jax.Array) -> State:
 
 
 @displayed
-class Contacts(NamedTuple):
+class WheelContacts(NamedTuple):
     """The contacts of n wheels with the ground.
 
     Fields:
@@ -257,7 +257,7 @@ class Contacts(NamedTuple):
         return self.loads < 0
 
 
-def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
+def contacts(model: RobotModel, state: State, ctrl: Any) -> WheelContacts:
     """Compute the loads, forces and sliding velocities of all wheels.
 
     At the fidelity "constrained" the loads are the loads at rest, and the forces are the
@@ -269,7 +269,7 @@ def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
         ctrl: (nu,), the controls as for `rates`.
 
     Returns:
-        `Contacts`, in N and m/s.
+        `WheelContacts`, in N and m/s.
 
     Raises:
         InputError: wrong types or shapes, values that are not finite, another fidelity.
@@ -286,7 +286,7 @@ def contacts(model: RobotModel, state: State, ctrl: Any) -> Contacts:
 
 
 @compiled
-def _contacts(model: RobotModel, state: State, u: jax.Array) -> Contacts:
+def _contacts(model: RobotModel, state: State, u: jax.Array) -> WheelContacts:
     context = model.context(state, u)
     n, shape, dtype = context.n, context.shape, state.q.dtype
     loads, forces = model.wheel_forces(context)
@@ -298,4 +298,4 @@ def _contacts(model: RobotModel, state: State, u: jax.Array) -> Contacts:
         free = wheel.kind == "caster"
         sliding.append((along - wheel.radius * rates[wheel.shaft], 0.0 if free else across))
     pairs = (jnp.stack([stack_lanes(x, dtype) for x in rows]) for rows in (forces, sliding))
-    return Contacts(stack_lanes(loads, dtype), *pairs)
+    return WheelContacts(stack_lanes(loads, dtype), *pairs)

@@ -44,7 +44,7 @@ from rbjax.wheeled.tyres.tyre import Pair, RollingResistance, Tyre
 
 
 @displayed
-class Contact(NamedTuple):
+class TyreContact(NamedTuple):
     """The contact of a tyre with the ground, in world axes.
 
     Fields:
@@ -54,7 +54,7 @@ class Contact(NamedTuple):
         load: normal force, N.
         lever: distance from the wheel's centre to the plane along the wheel's disc, m.
         sliding: velocity of the tyre's surface at p along x and y, m/s.
-        mu: force along x and y divided by the load.
+        traction: coefficients of traction, the force along x and y divided by the load.
         rates: time derivative of the tyre state.
         spin: rate of the wheel about its axle, rad/s.
         roll_speed: speed of the rim, m/s.
@@ -68,7 +68,7 @@ class Contact(NamedTuple):
     load: Lane
     lever: Lane
     sliding: Pair
-    mu: Pair
+    traction: Pair
     rates: Any
     spin: Lane
     roll_speed: Lane
@@ -142,7 +142,7 @@ class TyreOnGround(Element):
     def size(self) -> int:
         return self.tyre.size
 
-    def contact(self, context: Context) -> Contact:
+    def contact(self, context: Context) -> TyreContact:
         """Compute the contact point, load, sliding velocity and traction."""
         A, B, own = self.a.frame(context), self.b.frame(context), self._in(context)
         n, e = A.rotation @ Z, B.rotation @ Z
@@ -164,9 +164,9 @@ class TyreOnGround(Element):
         load = stop_force(depth, -n.dot(u) * flat, *onset) * flat
         vx, vy = u.dot(x), u.dot(y)
         rolls = lever * (spin - cosine * heading)
-        mu, rates = own.tyre.response(vx + rolls, vy, rolls, context.x)
+        traction, rates = own.tyre.response(vx + rolls, vy, rolls, context.x)
         p = B.position + arm
-        return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
+        return TyreContact(p, n, x, y, depth, load, lever, (vx, vy), traction, rates, spin, rolls)
 
     def loads(self, context: Context) -> Loads:
         at, A, B = (
@@ -174,7 +174,7 @@ class TyreOnGround(Element):
             self.a.frame(context),
             self.b.frame(context),
         )
-        F = (at.n + at.x * at.mu[0] + at.y * at.mu[1]) * at.load
+        F = (at.n + at.x * at.traction[0] + at.y * at.traction[1]) * at.load
         torque, resistance = Vec3.zero(), self._in(context).resistance
         if resistance is not None:
             drag = resistance.torque(at.load, at.lever, at.lever * at.spin)

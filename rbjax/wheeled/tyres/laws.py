@@ -17,7 +17,7 @@ from rbjax.wheeled.tyres.tyre import Pair, Tyre, pair
 SMOOTH_SPEED = 0.05
 
 
-class Linear(Tyre):
+class LinearTyre(Tyre):
     """Traction proportional to slip, with or without a limit.
 
         mu_i = -c_i s_i,    with a limit    mu_i = -mu_i* sigma_i / sqrt(1 + rho^2),
@@ -32,7 +32,7 @@ class Linear(Tyre):
 
     Example:
         >>> import rbjax as rb
-        >>> rubber = rb.wheeled.Linear([12.0, 10.0])
+        >>> rubber = rb.wheeled.LinearTyre([12.0, 10.0])
         >>> [round(float(x), 3) for x in rubber.traction(-0.02, 0.01)]
         [0.24, -0.1]
     """

@@ -44,7 +44,7 @@ class Relaxing(Record):
 
     Example:
         >>> import rbjax as rb
-        >>> rubber = rb.wheeled.Relaxing(rb.wheeled.Linear(10.0, smooth_speed=1e-4), 0.3)
+        >>> rubber = rb.wheeled.Relaxing(rb.wheeled.LinearTyre(10.0, smooth_speed=1e-4), 0.3)
         >>> mu, rate = rubber.response(1.9, 0.0, 2.0, (0.0, 0.0))  # it drives; mu grows to 0.5
         >>> float(mu[0]), round(float(rate[0]), 3)
         (0.0, 0.1)

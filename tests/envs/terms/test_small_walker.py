@@ -12,7 +12,7 @@ import rbjax as rb
 from rbjax.envs import terms
 from rbjax.envs.terms.frames import actuator_forces
 from rbjax.forces import Context
-from rbjax.sensors.solution import Solution
+from rbjax.sensors.solution import MotionSolution
 
 XML = """<mujoco><option timestep="0.002" tolerance="0" iterations="100"/><worldbody>
   <geom name="floor" type="plane" size="0 0 1" contype="0" conaffinity="1"/>
@@ -100,7 +100,7 @@ def cases():
     @jax.vmap
     def values(r):
         context = Context.of(model, 0.0, rb.State(r["q"], r["v"]), r["ctrl"])
-        solution = Solution(context, acceleration=r["a"])
+        solution = MotionSolution(context, acceleration=r["a"])
         after = Context.of(model, 0.0, rb.State(r["q"], r["v"]), r["ctrl"])
         object.__setattr__(after, "solution", solution)
         t = SimpleNamespace(after=after, variables=r, action=r["action"], last_action=r["last"],

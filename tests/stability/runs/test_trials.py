@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rbjax as rb
-from rbjax.stability import Arm, Body, Outcome, Truth, attempt, scenes, truth
+from rbjax.stability import Arm, Outcome, Top, Truth, attempt, scenes, truth
 from rbjax.stability.runs.scenes import SAMPLES, spherical, tumbling
 
 SOLVERS = rb.solvers.all()
@@ -93,7 +93,7 @@ def test_a_truth_is_scipys() -> None:
 
 def test_a_body_is_the_term_of_rigid_bodies() -> None:
     rng = np.random.default_rng(0)
-    body = Body((1.0, 2.0, 3.5), 1.3)
+    body = Top((1.0, 2.0, 3.5), 1.3)
     turn, w = rng.normal(size=4), rng.normal(size=3)
     rate, fast = jax.jit(tumbling)(0.0, (turn, w), (np.array(body.inertia), 1.3))
     spin, want = body.term().vf(0.0, (turn, w), 1.3)
