@@ -14,6 +14,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from rbjax._jax_compat import needs_devices
+from rbjax.compiler.jax.garbage import gc_paused
 from rbjax.compiler.jax.primitive import add_axis, place_batch, result_avals, run, threads_p
 from rbjax.compiler.jax.saved import inside, saving
 from rbjax.compiler.lower.lowering import Equation, Lowering, rule
@@ -72,6 +73,7 @@ def _is_float(x: jax.Array) -> bool:
     return jnp.issubdtype(jnp.result_type(x), jnp.floating)
 
 
+@gc_paused()
 def _jvp(primals, tangents, *, program, batch, ins, outs):
     pairs = zip(primals, tangents, strict=True)
     moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in pairs)
@@ -113,6 +115,7 @@ ad.primitive_jvps[tangent_p] = lambda primals, tangents, **params: _jvp(
 )
 
 
+@gc_paused()
 def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
     n = len(moving) + len(program.residuals(moving))
     has_cotangent = tuple(type(c) is not ad.Zero for c in cotangents)

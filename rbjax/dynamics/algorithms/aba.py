@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.arguments import ArrayLike
@@ -315,7 +314,7 @@ def acceleration(
     given, rebuilt = split_tracers((model, f_ext))
     top = model.topology
     in_series = any(parent >= top.nv for parent in top.parents)  # a flexible link carries a link
-    moving = np.array(links_in_motion(top))
+    moving = links_in_motion(top)
 
     def plain(*at):
         changed, q, v, tau = at
@@ -330,7 +329,7 @@ def acceleration(
         joints, forces = d.joints(q, v), d.lanes(tau)
         qdd, factors, *links = aba(d, joints, forces, d.prepared.gravity, f_ext, twists=in_series)
         a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
-        rows = [jnp.stack([d.pack(x, tau)[moving] for x in d.unzip(y, 6)]) for y in links]
+        rows = [jnp.stack([d.pack(x, tau, moving) for x in d.unzip(y, 6)]) for y in links]
         rows = [checkpoint_name(x, "acceleration") for x in rows]
 
         def solution(change: list[jax.Array]) -> jax.Array:

@@ -50,15 +50,19 @@ class Driver(abc.ABC):
     @abc.abstractmethod
     def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> PerLink:
         """Convert an array (nv, ...) to one lane for each link. None means zeros.
-        links: the links of the rows of x, by default those with a coordinate. Others get zero."""
+        links: the links of the rows of x, in order, by default those with a coordinate. The others
+            get zero."""
 
     @abc.abstractmethod
     def scattered(self, values: Mapping[int, Any], zero: Any) -> PerLink:
         """Convert a map from link index to value to a per-link value. Other links get `zero`."""
 
     @abc.abstractmethod
-    def pack(self, lanes: PerLink, like: jax.Array) -> jax.Array:
-        """Convert one lane for each link to an array (nv, ...)."""
+    def pack(
+        self, lanes: PerLink, like: jax.Array, links: Sequence[int] | None = None
+    ) -> jax.Array:
+        """Convert one lane for each link to an array (nv, ...).
+        links: the links of its rows, in order, by default those with a coordinate."""
 
     @abc.abstractmethod
     def columns(self, values: PerLink, like: jax.Array) -> Any:

@@ -155,8 +155,7 @@ class Limbs(unrolled.ListDriver):
         return Parts(fusion_barrier(out.trunk), out.rest)
 
     def lanes(self, x: jax.Array | None, links: Sequence[int] | None = None) -> Parts:
-        given = range(self.topology.nv) if links is None else links
-        place = {} if x is None else {link: k for k, link in enumerate(given)}
+        place = {} if x is None else self._rows(links)
         rows: Any = x
         return self._parts(
             lambda i: rows[place[i]] if i in place else 0.0,
@@ -177,17 +176,22 @@ class Limbs(unrolled.ListDriver):
             lambda links: jax.tree.map(merge, *(values.get(i, zero) for i in links)),
         )
 
-    def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
-        # limbs with consecutive links are written as one block
-        n = self.topology.nv  # the frames follow
-        rows = {i: x for i, x in zip(self._trunk, lanes.trunk, strict=True) if i < n}
+    def _rows(self, links: Sequence[int] | None) -> dict[int, int]:
+        """Return the rows of links, by default of those with a coordinate, which come first."""
+        given = range(self.topology.nv) if links is None else links
+        return {link: k for k, link in enumerate(given)}
+
+    def pack(self, lanes: Parts, like: jax.Array, links: Sequence[int] | None = None) -> jax.Array:
+        # limbs with consecutive rows are written as one block
+        place = self._rows(links)
+        rows = {place[i]: x for i, x in zip(self._trunk, lanes.trunk, strict=True) if i in place}
         blocks: dict[int, jax.Array] = {}
         for group, columns in zip(self._groups, lanes.rest, strict=True):
             shape = (len(group.links), 1, *like.shape[1:])
-            own = [x for i, x in zip(group.links[0], columns, strict=True) if i < n]
+            own = [x for i, x in zip(group.links[0], columns, strict=True) if i in place]
             wide = [widen(jnp.asarray(x, like.dtype), shape) for x in own]
             block = jnp.concatenate(wide, 1)
-            every = [i for limb in group.links for i in limb if i < n]
+            every = [place[i] for limb in group.links for i in limb if i in place]
             block = block.reshape(len(every), *like.shape[1:])
             if every == list(range(every[0], every[0] + len(every))):
                 blocks[every[0]] = block

@@ -103,7 +103,9 @@ class Rolled(Driver):
             return lanes[0]
         return jnp.stack(as_arrays(list(lanes), self._like))
 
-    def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
+    def pack(self, lanes: Parts, like: jax.Array, links: Sequence[int] | None = None) -> jax.Array:
+        if links is not None:
+            return self.pack(lanes, like)[np.array(links)]
         rest = jnp.broadcast_to(jnp.asarray(lanes.rest, like.dtype), like[self.head :].shape)
         if not self.head:
             return rest

@@ -67,8 +67,11 @@ class Unrolled(ListDriver):
     def scattered(self, values: Mapping[int, Any], zero: Any) -> list:
         return [values.get(i, zero) for i in range(len(self.topology.links))]
 
-    def pack(self, lanes: list[Lane], like: jax.Array) -> jax.Array:
-        return pack(lanes[: self.topology.nv], like)
+    def pack(
+        self, lanes: list[Lane], like: jax.Array, links: Sequence[int] | None = None
+    ) -> jax.Array:
+        rows = range(self.topology.nv) if links is None else links
+        return pack([lanes[i] for i in rows], like)
 
     def whole(self, values: list) -> list:
         return values
