@@ -7,6 +7,7 @@ import pytest
 from jax.extend.core import check_jaxpr, jaxpr_as_fun
 
 from rbjax.compiler.jax.derivatives import LinearisedJaxpr
+from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import traced
 from rbjax.lanes import fusion_barrier, sincos
 
@@ -113,3 +114,35 @@ def test_a_value_that_is_given_is_not_computed():
     assert "exp" not in {e.primitive.name for e in closed.jaxpr.eqns}
     (got,) = jaxpr_as_fun(closed)(X, jnp.exp(X), jnp.ones(3))
     np.testing.assert_allclose(got, jnp.cos(jnp.exp(X)) * jnp.exp(X), rtol=1e-14)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_program_in_a_derivative_rule_is_transposed(mixed):
+    """A program that is linear in rates is one linear equation, unless it returns values too."""
+
+    def rate(x, y, dx):
+        return [y @ (jnp.sin(x) * dx), *([x * x] if mixed else [])]
+
+    program = traced(rate, X, Y, X)
+
+    @jax.custom_jvp
+    def g(x, y):
+        return y @ -jnp.cos(x)
+
+    @g.defjvp
+    def _(primals, tangents):
+        (x, y), (dx, _) = primals, tangents
+        found = run(program, [x, y, dx])
+        return g(x, y), found[0] + (jnp.sum(0.0 * found[1]) if mixed else 0.0)
+
+    def plain(x):
+        return Y @ -jnp.cos(x)
+
+    transposed = LinearisedJaxpr.of(traced(lambda x: [g(x, Y)], X).closed, (True,)).transposed
+    assert (transposed((True,)) is None) == mixed
+    for f in (lambda h: h, jax.vmap):
+        x = X if f(plain) is plain else jnp.stack([X, 2 * X])
+        values, pull = jax.vjp(f(lambda x: g(x, Y)), x)
+        want, pull_plain = jax.vjp(f(plain), x)
+        np.testing.assert_allclose(values, want)
+        np.testing.assert_allclose(pull(values)[0], pull_plain(values)[0], rtol=1e-13)

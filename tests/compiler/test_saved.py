@@ -13,10 +13,12 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.extend.core.primitives import closed_call_p
 
 import rbjax as rb
+from rbjax.compiler.ir.program import batch_first
 from rbjax.compiler.jax import saved
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import Program, traced
 from rbjax.compiler.jax.saved import HELD_UP_TO, SavedVjp, without_nested
+from rbjax.compiler.lower.write import write_program
 from rbjax.lanes import fusion_barrier
 from tests.tolerances import F64_IDENTITY
 
@@ -106,6 +108,20 @@ def test_values_that_are_saved_are_not_computed_again():
     assert count(back, "log") == 0 and count(back, "argmax") == 0
     # the derivative by x alone reads no less
     assert SavedVjp.of(program_of(equations), (True, False)).residuals.shape == (4,)
+
+
+def test_rows_of_a_loop_are_saved_without_a_copy():
+    """A thread holds only the rows that its loop reads, none that it writes."""
+
+    def f(x, y):
+        made = jax.lax.scan(lambda c, k: (c * k, c * jnp.exp(k)), x[0], jnp.arange(40.0))[1]
+        made = checkpoint_name(made, "factors")
+        return [jax.lax.scan(lambda c, z: (jnp.sin(c) * z, None), y[0], made)[0]]
+
+    forward = SavedVjp.of(program_of(f), (False, True)).forward
+    layouts = [[batch_first(a.shape, (64,)) for a in x] for x in (forward.inputs, forward.outputs)]
+    assert forward.outputs[-1].size == 40
+    assert write_program(forward.closed, (64,), *layouts).array_bytes == 0
 
 
 def test_a_value_that_only_a_fusion_barrier_reads_is_not_saved():

@@ -378,8 +378,10 @@ def _push_forward(
 def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
     """Return whether an equation computes values and tangents together."""
     moving = [isinstance(a, Var) and a in linear for a in eqn.invars]
-    mixed = not all(moving) if eqn.primitive.name == "fusion_barrier" else _has_subjaxpr(eqn)
-    return any(moving) and mixed
+    name = eqn.primitive.name
+    if name == "threads":
+        return any(moving) and not eqn.params["program"].depends(moving)
+    return any(moving) and (not all(moving) if name == "fusion_barrier" else _has_subjaxpr(eqn))
 
 
 def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:

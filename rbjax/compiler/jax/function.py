@@ -9,9 +9,10 @@ from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import Var
 
 from rbjax.compiler.jax import tangents  # noqa: F401 (registers its rules)
-from rbjax.compiler.jax.derivatives import close
+from rbjax.compiler.jax.derivatives import close, needed
 from rbjax.compiler.jax.garbage import gc_paused
 from rbjax.compiler.jax.launch import has_gpu, kernels_available
 from rbjax.compiler.jax.primitive import run
@@ -185,18 +186,21 @@ def map_threads(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> li
 
 
 def trace(f: Callable, args: Sequence) -> tuple[Program, list[jax.Array]]:
-    """Trace a flat function. Return its program, and the traced values that it closes over.
-    The inputs of the program are these values, followed by the arguments."""
+    """Trace a flat function. Return its program, and the traced values that it closes over and
+    that its results depend on. The inputs of the program are these values, then the arguments."""
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
     with gc_paused(), inside():
         closed = jax.make_jaxpr(f)(*avals)
     jaxpr = closed.jaxpr
     saves = has_saving(jaxpr)
     consts = dict(zip(jaxpr.constvars, closed.consts, strict=True))
-    moving = {v: c for v, c in consts.items() if isinstance(c, jax.core.Tracer)}
-    if not moving:
+    if not any(isinstance(c, jax.core.Tracer) for c in consts.values()):
         return Program(closed, saves=saves), []
+    eqns = needed(jaxpr.eqns, jaxpr.outvars, jaxpr.invars, bool(jaxpr.effects))
+    read = {v for eqn in eqns for v in eqn.invars if isinstance(v, Var)}
+    read.update(v for v in jaxpr.outvars if isinstance(v, Var))
+    moving = {v: c for v, c in consts.items() if isinstance(c, jax.core.Tracer) and v in read}
     known = {v: c for v, c in consts.items() if v not in moving}
     ins = [*moving, *jaxpr.invars]
-    whole = close(jaxpr.eqns, ins, jaxpr.outvars, known, frozenset(jaxpr.effects))
+    whole = close(eqns, ins, jaxpr.outvars, known, frozenset(jaxpr.effects))
     return Program(whole, saves=saves), list(moving.values())

@@ -38,7 +38,7 @@ from rbjax.compiler.jax.sharding import Axes, shard_batch
 from rbjax.compiler.jax.uniform import hoist_uniform
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.lower.control import inner_jaxprs
-from rbjax.compiler.lower.lowering import Equation, Lowering, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, placing_rule
 from rbjax.compiler.lower.write import write_program
 
 # ------------------------------------------------------------------- evaluation
@@ -251,14 +251,14 @@ def _has_while(closed: ClosedJaxpr) -> bool:
     return False
 
 
-@rule("threads")
-def _inside(low: Lowering, eqn: Equation, ins: list) -> list:
+@placing_rule("threads")
+def _inside(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     """Lower a program inside another program. A batch of it becomes a loop if the samples may take
     different numbers of iterations, else `vmap`, which keeps entries that are zero in all samples.
     """
     closed = eqn.params["program"].closed
     if not eqn.params["batch"]:
-        return low.closed(closed, ins)
+        return low.closed(closed, ins, places)
     each = _one_by_one if _has_while(closed) else jax.vmap
     f = functools.partial(under_xla, **eqn.params, each=each)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])

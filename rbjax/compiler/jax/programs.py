@@ -9,9 +9,9 @@ from typing import TypeVar, cast
 import jax
 import jax.numpy as jnp
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Var, jaxpr_as_fun
 
-from rbjax.compiler.jax.derivatives import LinearisedJaxpr, Transposed
+from rbjax.compiler.jax.derivatives import LinearisedJaxpr, Transposed, dependents
 from rbjax.compiler.jax.garbage import gc_paused
 
 Moving = tuple[bool, ...]
@@ -81,6 +81,13 @@ class Program:
         if key not in self.derived:
             self.derived[key] = make()
         return cast(T, self.derived[key])
+
+    def depends(self, moving: Sequence[bool]) -> bool:
+        """Return whether all results depend on the moving arguments."""
+        jaxpr = self.closed.jaxpr
+        start = [v for v, m in zip(jaxpr.invars, moving, strict=True) if m]
+        found = dependents(jaxpr.eqns, start)
+        return all(isinstance(a, Var) and a in found for a in jaxpr.outvars)
 
     def tangent(self, moving: Moving) -> Program:
         """Return the program (args, residuals, tangents of moving args) -> tangents of results."""

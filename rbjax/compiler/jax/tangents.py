@@ -141,3 +141,20 @@ def _transpose(cotangents, *operands, program, moving, batch, ins, outs):
 
 
 ad.primitive_transposes[tangent_p] = _transpose
+
+
+def _transpose_linear(cotangents, *operands, program, batch, ins, outs):
+    """Transpose a program that is linear in some operands: it is its own tangent, at zero."""
+    moving = tuple(map(ad.is_undefined_primal, operands))
+    at = [jnp.zeros(x.aval.shape, x.aval.dtype) if m else x
+          for x, m in zip(operands, moving, strict=True)]  # fmt: skip
+    along = [x for x, m in zip(operands, moving, strict=True) if m]
+    axes = [a for a, m in zip(ins, moving, strict=True) if m]
+    found = iter(_transpose(
+        cotangents, *at, *along, program=program, moving=moving, batch=batch,
+        ins=(*ins, *axes), outs=outs,
+    )[len(at) :])  # fmt: skip
+    return [next(found) if m else None for m in moving]
+
+
+ad.primitive_transposes[threads_p] = _transpose_linear

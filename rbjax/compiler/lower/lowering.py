@@ -369,7 +369,7 @@ def _places(
         if place is None:
             continue
         match eqn.primitive.name:
-            case "reshape" | "squeeze" | "expand_dims" | "name":
+            case "reshape" | "squeeze" | "expand_dims" | "name" | "reduce_precision":
                 same_entries(eqn.invars[0], place)
             case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
                 same_entries(eqn.invars[0], place)

@@ -22,10 +22,10 @@ from rbjax.dynamics.algorithms.aba import (
     accelerated,
     eliminated,
     factorize,
-    named,
     solve,
     transforms,
 )
+from rbjax.dynamics.algorithms.factors import named
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, add, mul, unpack

@@ -28,7 +28,7 @@ from rbjax.contact.problem.latched_disc import DiscSet
 from rbjax.contact.problem.world import World
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
-from rbjax.dynamics.algorithms.aba import name_factors
+from rbjax.dynamics.algorithms.factors import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, total, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD

@@ -17,13 +17,15 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
 one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). The
 reverse derivative of RNEA of a tree with flexible links is the gradient of a power
-(virtual_power.py). If a flexible link carries links, it takes their accelerations from ABA, and
-their virtual twists from the solution as the cotangents of bias forces p, which are zero. On a GPU
-it reads the acceleration and the factors of the forward pass.
+(virtual_power.py), and that of the solution is the solution itself, because M is symmetric. If a
+flexible link carries links, the gradient takes their accelerations from ABA, and their virtual
+twists from the solution as the cotangents of bias forces p, which are zero. On a GPU it reads the
+acceleration and the factors of the forward pass.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -33,16 +35,18 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
 from rbjax.arguments import ArrayLike
+from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.launch import has_gpu
+from rbjax.compiler.jax.primitive import run
 from rbjax.dynamics.algorithms.factors import (
     AnyFactor,
     Column,
-    CoordinateFactor,
     Factor,
     FrameFactor,
     add_columns,
     columns_of_frame,
     eliminate_coordinate,
+    named,
 )
 from rbjax.dynamics.algorithms.kinematics import velocity_bias
 from rbjax.dynamics.algorithms.rnea import (
@@ -54,8 +58,8 @@ from rbjax.dynamics.algorithms.rnea import (
     wrenches_to_links,
 )
 from rbjax.dynamics.algorithms.virtual_power import (
-    links_in_motion,
     motions_of,
+    rows_of_motions,
     with_gradient_of_power,
 )
 from rbjax.dynamics.drivers.choice import Driver, driver
@@ -154,7 +158,7 @@ def aba(
     twists: bool = False,
 ) -> tuple[Any, ...]:
     """Compute the joint acceleration of each link, and the factors of the mass matrix.
-    twists: whether to return the accelerations of links too, in their own axes, as six lanes."""
+    twists: whether to return the accelerations of links too, in their own axes."""
 
     def outward(x, w_parent):
         link, joint, *_ = x
@@ -184,7 +188,7 @@ def aba(
     def accelerate(x, parent):
         factor, u, c = x
         a, qdd, block = factor.outward(u, factor.X(parent[0]) + c, parent[1])
-        return (a, block), (qdd, factor, tuple(a)) if twists else (qdd, factor)
+        return (a, block), (qdd, factor, a) if twists else (qdd, factor)
 
     found = d.outward(accelerate, (Motion(Vec3.zero(), -gravity), ()), ys)
     return d.unzip(found, 2 + twists)
@@ -235,8 +239,7 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: Any = None) -
     """Compute M^-1 (tau - sum of J_i^T p_i) from the factors: ABA without velocities and gravity.
 
     again: an optional second copy of the factors for the outward sweep, to save registers.
-    p: lanes of the bias forces (6), in the axes of the links, per link; None for zero. Their
-        cotangents are the twists of the links.
+    p: lanes of the bias forces (6), in the axes of the links, per link; None for zero.
     """
     ys = eliminated(d, factors, tau, p)
     if again is not None:
@@ -272,25 +275,33 @@ def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
     return d.outward(outward, (Motion.zero(), ()), left)
 
 
-def name_factors(values: Any) -> Any:
-    """Name the arrays of a pytree "factors", for policies of `jax.checkpoint`
-    (`rbjax.compiler.jax.saved`)."""
-    name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
-    return jax.tree.map(name, values)
+def symmetric_solve(d: Driver, factors: Any, tau: jax.Array, *p: jax.Array) -> list[jax.Array]:
+    """Compute a = M^-1 (tau - sum of J_i^T p_i) from the factors, as a program that is its own
+    transpose.
 
+    p: nothing, or bias forces (6, links) of `links_in_motion`. The second result is then the twists
+        J_i a of these links.
+    """
 
-def named(factors: Any) -> Any:
-    """Name U and 1 / D of the factors of all links, and the rows of coordinates
-    (`name_factors`)."""
+    def both(tau: jax.Array, *p: jax.Array) -> list[jax.Array]:
+        ys = eliminated(d, factors, d.lanes(tau), *(motions_of(d, x) for x in p))
+        a, twists = d.unzip(accelerated(d, ys, twists=True), 2)
+        return [d.pack(a, tau), *(rows_of_motions(d, twists, tau) for _ in p)]
 
-    def one(f: AnyFactor) -> AnyFactor:
-        if isinstance(f, FrameFactor):
-            return f
-        U, inverse_D = name_factors((f.U, f.inverse_D))
-        f = f._replace(U=U, inverse_D=inverse_D)
-        return f._replace(row=name_factors(f.row)) if isinstance(f, CoordinateFactor) else f
+    plain, held = trace(both, (tau, *p))
+    n = len(held)
 
-    return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, AnyFactor))
+    def vjp(moving: tuple[bool, ...], args: Any, _: Any, bars: Any) -> list[jax.Array]:
+        pairs = zip(bars, plain.outputs, strict=True)
+        w, *z = (jnp.zeros(y.shape, y.dtype) if x is None else x for x, y in pairs)
+        if any(moving[:n]):  # the factors move, in a second derivative
+            has_cotangent = (True,) * len(bars)
+            return run(plain.transposed(moving, has_cotangent), [*args, w, *z])
+        a, *twists = run(program, [*args[:n], w, *(-x for x in z)])
+        return list(itertools.compress([a, *(-x for x in twists)], moving[n:]))
+
+    program = replace(plain, vjp=vjp)
+    return run(program, [*held, tau, *p])
 
 
 def saves_factors(model: Model, *args: Any, **others: Any) -> bool:
@@ -314,7 +325,6 @@ def acceleration(
     given, rebuilt = split_tracers((model, f_ext))
     top = model.topology
     in_series = any(parent >= top.nv for parent in top.parents)  # a flexible link carries a link
-    moving = links_in_motion(top)
 
     def plain(*at):
         changed, q, v, tau = at
@@ -329,14 +339,11 @@ def acceleration(
         joints, forces = d.joints(q, v), d.lanes(tau)
         qdd, factors, *links = aba(d, joints, forces, d.prepared.gravity, f_ext, twists=in_series)
         a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
-        rows = [jnp.stack([d.pack(x, tau, moving) for x in d.unzip(y, 6)]) for y in links]
-        rows = [checkpoint_name(x, "acceleration") for x in rows]
+        rows = [checkpoint_name(rows_of_motions(d, x, tau), "acceleration") for x in links]
 
-        def solution(change: list[jax.Array]) -> jax.Array:
-            p = motions_of(d, change[1]) if rows else None
-            return d.pack(solve(d, factors, d.lanes(change[0]), p=p), tau)
-
-        return (a,), [solution], *rows
+        if not top.frames:
+            return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change[0])), tau)]
+        return (a,), [lambda change: symmetric_solve(d, factors, *change)[0]], *rows
 
     def residual(changed, q, v, tau, a, *links):
         model, f_ext = rebuilt(changed)

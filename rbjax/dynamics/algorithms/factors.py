@@ -23,6 +23,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
+from jax.ad_checkpoint import checkpoint_name
+
 from rbjax.errors import ModelError
 from rbjax.joints import LinkInertia
 from rbjax.joints.joint import Block
@@ -160,3 +163,24 @@ def eliminate_coordinate(
         left.append(Column(C - U * scaled, entries))
     factor = CoordinateFactor(X, U, inverse_D, tuple(row))
     return I_A.less(U, inverse_D), factor, tuple(left)
+
+
+def name_factors(values: Any) -> Any:
+    """Name the arrays of a pytree "factors", for policies of `jax.checkpoint`
+    (`rbjax.compiler.jax.saved`)."""
+    name = lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x  # noqa: E731
+    return jax.tree.map(name, values)
+
+
+def named(factors: Any) -> Any:
+    """Name U and 1 / D of the factors of all links, and the rows of coordinates
+    (`name_factors`)."""
+
+    def one(f: AnyFactor) -> AnyFactor:
+        if isinstance(f, FrameFactor):
+            return f
+        U, inverse_D = name_factors((f.U, f.inverse_D))
+        f = f._replace(U=U, inverse_D=inverse_D)
+        return f._replace(row=name_factors(f.row)) if isinstance(f, CoordinateFactor) else f
+
+    return jax.tree.map(one, factors, is_leaf=lambda x: isinstance(x, AnyFactor))

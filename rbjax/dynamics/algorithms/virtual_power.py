@@ -100,6 +100,13 @@ def motions_of(d: Driver, rows: jax.Array) -> Any:
     return d.zip(*(d.lanes(x, links) for x in rows))
 
 
+def rows_of_motions(d: Driver, motions: Any, like: jax.Array) -> jax.Array:
+    """Return the motion of each link as rows (6, links) of `links_in_motion`."""
+    links = links_in_motion(d.topology)
+    lanes = jax.tree.map(tuple, motions, is_leaf=lambda x: isinstance(x, Motion))
+    return jnp.stack([d.pack(x, like, links) for x in d.unzip(lanes, 6)])
+
+
 def replaced(own: Motion, known: Any) -> Motion:
     """Return the lanes of `known` with the derivatives of `own`. Lanes stay that are constants, or
     that `known` has not."""
