@@ -20,7 +20,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import ArrayLike
+from rbjax.arguments import ArrayLike, instance
 from rbjax.constraints.equations.model_rows import Residual
 from rbjax.constraints.methods.dense import KKT, Dense
 from rbjax.constraints.reactions import ConstrainedMotion
@@ -83,11 +83,8 @@ class LagrangeSystem:
             )
         if self.rate is not None and self.pfaffian is None:
             raise InputError("LagrangeSystem: got a rate b without pfaffian=, expected both")
-        if not isinstance(self.formulation, Dense):
-            raise InputError(
-                f"LagrangeSystem(formulation=...): got {type(self.formulation).__name__}, expected "
-                "one on arrays, as rbjax.constraints.KKT()"
-            )
+        public = "a method on arrays, such as rbjax.constraints.KKT()"
+        instance("LagrangeSystem", "formulation", self.formulation, Dense, public)
 
     @classmethod
     def lagrangian(cls, L: Callable, forces: Callable | None = None, **rows: Any) -> LagrangeSystem:

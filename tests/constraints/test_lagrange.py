@@ -241,7 +241,7 @@ def test_gradient_through_diffrax() -> None:
         (lambda: rc.LagrangeSystem(3, len), "mass=.*got int, expected a function"),
         (lambda: rc.LagrangeSystem(len, len), "got no constraint, expected holonomic="),
         (lambda: rc.LagrangeSystem(len, len, holonomic=len, rate=len), "a rate b without pfaffian"),
-        (lambda: rc.LagrangeSystem(len, len, len, formulation=rc.Baumgarte()), "one on arrays"),
+        (lambda: rc.LagrangeSystem(len, len, len, formulation=rc.Baumgarte()), "method on arrays"),
         (lambda: pendulum().solve(0.0, jnp.zeros(2), jnp.zeros(3), NUMBERS), "expected .n,. each"),
         (
             lambda: rc.LagrangeSystem.energies(

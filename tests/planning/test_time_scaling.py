@@ -186,7 +186,7 @@ def test_derivatives_padding_and_failure() -> None:
         (lambda p: time_scaling(cart(), None, Limits(1.0)), ["is None", "Path"]),
         (lambda p: time_scaling(cart(), p, 1.0), ["1.0", "Limits"]),
         (lambda p: time_scaling(cart(), p, Limits([1.0] * 3)), ["(3,)", "(2,)"]),
-        (lambda p: Limits(0.0), ["torque", "above zero"]),
+        (lambda p: Limits(0.0), ["torque", "above 0"]),
         (lambda p: Limits(np.inf), ["torque", "inf"]),
         (lambda p: Limits(1.0, speed=[1.0]), ["speed", "(1,)"]),
         (

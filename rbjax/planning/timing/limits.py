@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import check_positive, instance
+from rbjax.arguments import instance
 from rbjax.errors import InputError
-from rbjax.model.record import Record, check_fields, floats
+from rbjax.model.record import Record
 from rbjax.wheeled import RobotModel, TorqueSource
+from rbjax.wheeled.fields import check_ranges, number
 from rbjax.wheeled.models.rolling import RollingModel
-
-
-def _number(default: float) -> Any:
-    return eqx.field(converter=floats, default_factory=lambda: jnp.asarray(default))
 
 
 class Limits(Record):
@@ -35,22 +31,15 @@ class Limits(Record):
         ()
     """
 
-    torque: jax.Array = eqx.field(converter=floats)
-    speed: jax.Array = _number(np.inf)
-    turn_rate: jax.Array = _number(np.inf)
-    steering_rate: jax.Array = _number(np.inf)
-    steering: jax.Array = _number(np.inf)
+    torque: jax.Array = number()
+    speed: jax.Array = number(default=np.inf)
+    turn_rate: jax.Array = number(default=np.inf)
+    steering_rate: jax.Array = number(default=np.inf)
+    steering: jax.Array = number(default=np.inf)
 
     def __check_init__(self) -> None:
-        check_fields(self)
-        for name in ("torque", "speed", "turn_rate", "steering_rate", "steering"):
-            x = getattr(self, name)
-            if jnp.ndim(x) > (name == "torque"):
-                raise InputError(
-                    f"Limits({name}=...): got the shape {jnp.shape(x)}, expected a number"
-                    + (" or one a drive" if name == "torque" else "")
-                )
-            check_positive("Limits", **{name: x})
+        names = ("torque", "speed", "turn_rate", "steering_rate", "steering")
+        check_ranges(self, tables=("torque",), above=dict.fromkeys(names, 0.0))
 
     def may_be_infinite(self, name: str) -> bool:
         return name != "torque"

@@ -29,9 +29,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import instance
 from rbjax.constraints.rows.geometry import Z, opposed
 from rbjax.display import displayed
-from rbjax.errors import InputError
 from rbjax.forces import Context, Element, Loads
 from rbjax.forces.element import Shapes
 from rbjax.forces.joints.limits import stop_energy, stop_force
@@ -121,14 +121,9 @@ class TyreOnGround(Element):
 
     def __check_init__(self) -> None:
         check_places(self)
-        for name, kind in (("tyre", Tyre | Relaxing), ("resistance", RollingResistance | None)):
-            got = getattr(self, name)
-            if not isinstance(got, kind):
-                expected = "a tyre law or Relaxing" if name == "tyre" else "RollingResistance, None"
-                raise InputError(
-                    f"TyreOnGround({name}=...): got {type(got).__name__}, expected {expected} (of "
-                    "rbjax.wheeled)"
-                )
+        where, drag = "TyreOnGround", "RollingResistance or None"
+        instance(where, "tyre", self.tyre, Tyre | Relaxing, "a tyre law or Relaxing")
+        instance(where, "resistance", self.resistance, RollingResistance | None, drag)
         above = dict.fromkeys(("radius", "stiffness", "onset"), 0.0)
         check_ranges(self, above=above, least={"damping": 0.0})
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import jax
 
-from rbjax.errors import InputError
+from rbjax.arguments import instance
 from rbjax.lanes import Lane
 from rbjax.model.record import Record
 from rbjax.wheeled.fields import check_ranges, number
@@ -55,11 +55,7 @@ class Relaxing(Record):
     damping_time: jax.Array = number(default=0.0)
 
     def __check_init__(self) -> None:
-        if not isinstance(self.law, Tyre):
-            raise InputError(
-                f"Relaxing(law=...): got {type(self.law).__name__}, expected a tyre law, as "
-                "rbjax.wheeled.TMeasy"
-            )
+        instance("Relaxing", "law", self.law, Tyre, "a tyre law, such as rbjax.wheeled.TMeasy")
         above, least = {"length": 0.0}, {"damping_time": 0.0}
         check_ranges(self, per_axis=True, above=above, least=least)
 
