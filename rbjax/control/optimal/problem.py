@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag, instance
+from rbjax.arguments import flag, instance, integer
 from rbjax.control.optimal.problem_table import problem_display
 from rbjax.control.optimal.system import LinearisedStep, System, system_of
 from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
@@ -139,9 +139,7 @@ class Problem(Record):
         integrator: Any = None, dynamics: Any = free_motion, held: Any = None,
     ) -> None:  # fmt: skip
         self.system = system_of("Problem", model, integrator, dynamics, held)
-        if not isinstance(horizon, int) or horizon < 1:
-            raise InputError(f"Problem: horizon is {horizon!r}, expected one step or more")
-        self.horizon = horizon
+        self.horizon = integer("Problem", "horizon", horizon, least=1)
         dt = getattr(model, "timestep", None) if dt is None else dt
         if dt is None:
             raise InputError("Problem: dt is None, expected a step in s; only an rb.Model has one")

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, floating_array, instance
+from rbjax.arguments import flag, floating_array, instance, integer
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
@@ -229,9 +229,7 @@ class Equations(System):
     def __check_init__(self) -> None:
         check_takes("Equations", "function", self.function, "t", "x", "u")
         for name in ("size", "controls", "parts"):
-            n = getattr(self, name)
-            if not isinstance(n, int) or n < 1:
-                raise InputError(f"Equations: {name} is {n!r}, expected a positive integer")
+            integer("Equations", name, getattr(self, name), least=1)
         flag("Equations", "discrete", self.discrete)
 
     def with_model(self, model: Any) -> System:
