@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 import rbjax as rb
 from rbjax.flexible.strain import stiffness_matrix
 from rbjax.lanes import is_zero
-from tests.flexible.beams import ARM, with_mass
+from tests.flexible.beams import ARM, round_beam, with_mass
 from tests.flexible.statics import Cantilever
 from tests.flexible.strain.test_statics import bend
 from tests.flexible.test_beam_frequencies import cantilever, frequencies
@@ -165,6 +166,80 @@ def test_reducing_twice_is_reducing_once() -> None:
     np.testing.assert_allclose(
         np.abs(first.reduced(coordinates, 2).basis), np.abs(once.basis), atol=1e-12
     )
+
+
+def swinging(beam: rb.flexible.Beam) -> rb.Model:
+    """The beam downwards on a hinge, with a payload at its tip."""
+    down = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+    model = rb.load(ARM).with_beam("rod", beam, "upper", position=(0, 0, -0.4), orientation=down)
+    return with_mass(model, "rod")
+
+
+@functools.cache
+def swing() -> tuple[rb.Model, rb.Model]:
+    """The arm with eight coefficients of bending, and with two vibration and two static modes."""
+    whole = round_beam({"k_y": 7})
+    small = whole.reduced(np.concatenate([whole.vibration_modes(2), whole.static_modes()]))
+    return swinging(whole), swinging(small)
+
+
+def after(model: rb.Model, steps: int) -> jax.Array:
+    """Positions of the tip while the arm falls from 0.5 rad."""
+    q = jnp.zeros(model.nv, model.gravity.dtype).at[0].set(0.5)
+    path = rb.rollout(
+        model, rb.State(q, 0 * q), None, 1e-3, steps=steps, integrator="discrete", save_every=20
+    )
+    return jax.vmap(lambda q: rb.frame_pose(model, q, "rod")[1])(path.q)
+
+
+def test_a_swing_with_four_coordinates() -> None:
+    """The tip within 5e-6 m of the beam of eight, in float32 too, and lower frequencies."""
+    whole, small = swing()
+    want = after(whole, 600)
+    assert (small.nv, whole.nv) == (5, 9)
+    assert np.abs(after(small, 600) - want).max() < 5e-6
+    assert np.abs(after(small.astype(jnp.float32), 600) - want).max() < 5e-6
+
+    def largest(model):
+        at_rest = model.default_state()
+        K = -jax.jacfwd(lambda q: rb.applied_forces(model, at_rest.replace(q=q)))(at_rest.q)
+        M = rb.mass_matrix(model, at_rest.q)
+        return scipy.linalg.eigh(K[1:, 1:], M[1:, 1:], eigvals_only=True)[-1] ** 0.5
+
+    assert largest(small) < largest(whole) / 6
+
+
+def test_a_motion_as_snapshots() -> None:
+    """Three coordinates from a fall from 0.9 rad serve a fall from 0.5 rad."""
+    beam, whole = round_beam({"k_y": 7}), swing()[0]
+    q = jnp.zeros(whole.nv).at[0].set(0.9)
+    path = rb.rollout(
+        whole, rb.State(q, 0 * q), None, 1e-3, steps=600, integrator="discrete", save_every=20
+    )
+    small = swinging(beam.reduced(path.q[:, whole.q_slice("rod")], 3))
+    assert np.abs(after(small, 600) - after(whole, 600)).max() < 5e-6
+
+
+def test_gradient_by_stiffness_and_length() -> None:
+    """By central differences of two steps, extrapolated. The basis is constant."""
+    _, model = swing()
+    (elastic,) = (x for x in model.forces if isinstance(x, rb.flexible.BeamElasticity))
+
+    def f(numbers):
+        changed = dataclasses.replace(
+            model,
+            joints=model.joints.replace(params=model.joints.params.at[0].set(numbers[1])),
+            forces=(dataclasses.replace(elastic, stiffness=numbers[0] * elastic.stiffness),),
+        )
+        return after(changed, 200)[-1] @ jnp.array([1.0, 2.0, 3.0])
+
+    at = jnp.ones(2)
+    found, f = compiled(jax.grad(f))(at), compiled(f)
+    for i in range(2):
+        h = 2e-3
+        sides = [float(f(at.at[i].add(k * h))) for k in (-2, -1, 1, 2)]
+        want = (8 * (sides[2] - sides[1]) - (sides[3] - sides[0])) / (12 * h)
+        np.testing.assert_allclose(found[i], want, rtol=1e-8)
 
 
 LOADS = (1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 9 / 8)

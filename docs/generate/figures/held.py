@@ -5,7 +5,7 @@ from __future__ import annotations
 from docs.generate.figures.kinds import Figure, Held
 
 LOOPS, MOTION = "constraints/test_benchmarks.py", "wheeled/test_motion.py"
-BEAMS = "flexible/test_beam_motions.py"
+BEAMS, REDUCED = "flexible/test_beam_motions.py", "flexible/test_reduced_basis.py"
 ROTATIONS, TOPS = "rotations/test_representation.py", "body/test_tops.py"
 TEXTS = {
     "operations": ("dynamics/test_minimum.py", '"free_body": (18, ', 2),
@@ -49,6 +49,9 @@ TEXTS = {
     "beams.roll-up": ("flexible/strain/test_statics.py", "np.abs(at[:2] - want).max() < "),
     "beams.bend": ("flexible/strain/test_statics.py", "np.abs(got - want).max() < "),
     "beams.frequency": ("flexible/test_beam_frequencies.py", "(7, ["),
+    "beams.reduced.frequencies": (REDUCED, "frequencies(model)[:5] / want - 1) < "),
+    "beams.reduced.bend": (REDUCED, "assert max(errors) < "),
+    "beams.reduced.swing": (REDUCED, "after(small, 600) - after(whole, 600)).max() < "),
     "beams.spin-up": (BEAMS, "rtol=0, atol="),
     "beams.trend": (BEAMS, "(np.abs(trend) < "),
     "beams.gradient": (BEAMS, "assert_allclose(found[i], want, rtol="),

@@ -1,4 +1,4 @@
-"""Beams: comparison with Exudyn and of formulations, evaluations on a GPU, single precision."""
+"""Beams: comparison with Exudyn and of formulations, a reduced basis, times, single precision."""
 
 from docs.generate.subjects.tables import Column as C
 from docs.generate.subjects.tables import Pivot, Table
@@ -22,6 +22,18 @@ TABLES = {
         C("error", digits=2),
         "python -m benchmarks.flexible.reference_accuracy",
         order=(4, 8, 16, 32),
+        optional=True,
+    ),
+    "reduced bend": Table(
+        ("flexible-reduced-bend-*",),
+        (
+            C("slenderness"),
+            C("snapshots"),
+            C("coordinates"),
+            C("error", "under F", digits=2),
+            C("within 30 degrees", digits=2),
+        ),
+        "python -m benchmarks.flexible.reduced_bend",
         optional=True,
     ),
     "one call of beams": Table(
