@@ -68,6 +68,4 @@ __all__ = [
     "virtual_work",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -24,6 +24,4 @@ from rbjax.compiler.jax.native import compile as compile
 
 __all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

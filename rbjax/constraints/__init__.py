@@ -148,6 +148,4 @@ __all__ = [
     "turn",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

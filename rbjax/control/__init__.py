@@ -78,6 +78,4 @@ __all__ = [
     "laws", "linear", "optimal",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -66,6 +66,4 @@ __all__ = [
     "potential_energy",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -74,6 +74,4 @@ __all__ = [
     "terms",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -45,6 +45,4 @@ __all__ = [
     "tube",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -43,6 +43,4 @@ __all__ = [
     "tendon_reach",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

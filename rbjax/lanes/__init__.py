@@ -77,6 +77,4 @@ __all__ = [
     "unpack",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

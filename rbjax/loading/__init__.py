@@ -20,6 +20,4 @@ __all__ = [
     "write_mjcf",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -62,6 +62,4 @@ __all__ = [
     "time_scaling",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

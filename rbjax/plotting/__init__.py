@@ -63,6 +63,4 @@ __all__ = [
     "top_view",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -30,6 +30,4 @@ __all__ = [
     "solver",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -22,6 +22,4 @@ __all__ = [
     "so3",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

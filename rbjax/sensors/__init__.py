@@ -132,6 +132,4 @@ __all__ = [
     "sensor_of",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -134,6 +134,4 @@ __all__ = [
     "very_chord",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -94,6 +94,4 @@ __all__ = [
     "wrench_at",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -140,6 +140,4 @@ __all__ = [
     "plot_spectral_radius",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -45,6 +45,4 @@ __all__ = [
     "torque",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

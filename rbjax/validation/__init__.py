@@ -6,6 +6,4 @@ from rbjax.validation.report import Error, Report, ReportRow
 
 __all__ = ["Error", "Report", "ReportRow", "compare", "evaluate_in_mujoco"]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -12,6 +12,4 @@ from rbjax.viewer.viewing import Viewer, view
 
 __all__ = ["RobotMotion", "Viewer", "motion_of", "motion_of_policy", "view"]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

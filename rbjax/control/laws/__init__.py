@@ -18,6 +18,4 @@ __all__ = [
     "joint_impedance", "operational_space", "region_of_attraction",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

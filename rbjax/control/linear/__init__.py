@@ -24,6 +24,4 @@ __all__ = [
     "kalman_gain",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -42,6 +42,4 @@ __all__ = [
     "StateError", "Status", "System", "Term", "TickStatus", "Velocity", "methods", "mpc", "solve",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

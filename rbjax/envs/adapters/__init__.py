@@ -32,6 +32,4 @@ __all__ = [
     "wrap_brax",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -55,6 +55,4 @@ __all__ = [
     "train",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -113,6 +113,4 @@ __all__ = [
     "vertical_velocity",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

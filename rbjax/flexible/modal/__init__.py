@@ -60,6 +60,4 @@ __all__ = [
     "write_sid",
 ]
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -7,6 +7,4 @@ __all__ = [
     "in_si", "low_pass",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

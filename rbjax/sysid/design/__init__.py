@@ -7,6 +7,4 @@ __all__ = [
     "Fourier", "Motion", "MotionLimits", "Spline", "design_experiment",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -15,6 +15,4 @@ __all__ = [
     "nearest_pseudo_inertia", "pseudo_inertia_of", "to_log_cholesky", "with_inertial_parameters",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

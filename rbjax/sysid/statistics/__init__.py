@@ -9,6 +9,4 @@ __all__ = [
     "Scored", "combinations", "compare", "estimates", "held_out", "whiteness",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

@@ -18,6 +18,4 @@ __all__ = [
     "regress", "regress_with_zeros", "regressor", "select", "torque_rows",
 ]  # fmt: skip
 
-
-def __dir__() -> list[str]:
-    return __all__
+__dir__ = __all__.copy

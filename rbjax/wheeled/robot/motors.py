@@ -148,8 +148,8 @@ class DCMotor(Motor):
 
         V = V_b tanh(u / V_b),   i = (V - n K Omega) / R,   tau = n K i - b Omega
 
-    The rotor adds n^2 J to the inertia of the shaft. `rb.forces.DCMotor` is the motor of a MuJoCo
-    file, with inductance, temperature and cogging.
+    The rotor adds n^2 J to the inertia of the shaft. The motor of a MuJoCo file, with inductance,
+    temperature and cogging, is `rbjax.forces.actuators.dc_motor.DCMotor`.
 
     Fields, all ():
         resistance: R, ohm, above 0.
