@@ -115,8 +115,8 @@ if DATA is not None:
         print(kind, np.round([x for n, x in usual.values.items() if n.startswith(kind)], 3))
 
 # %% [markdown]
-# Biases of 0.1 rad, no delay, calves without viscous friction: the model bends what it has towards
-# something that it does not have.
+# Biases of 0.1 rad, no delay, calves with little viscous friction: the model bends what it has
+# towards something that it does not have.
 #
 # ## What is missing
 #
