@@ -111,11 +111,13 @@ def emulated(
     pointers = ",".join(f"({kind}*)p[{k}]" for k, kind in enumerate(types))
     first, last = (0, kernel.block - 1)[:: in_turn or 1]
     turns = f"#define IN_TURN {in_turn}\n#define START turns[{first}].release()"
+    dynamic = f"static uint4 dynamic[{kernel.shared_bytes // 16}]"
+    code = kernel.source.replace("extern __shared__ uint4 dynamic[]", dynamic)
     zeros = ",".join(["std::counting_semaphore<1>(0)"] * kernel.block)
     source = "\n".join([
         f"#define THREADS {kernel.block}\n#define LAST {last}",
         turns if in_turn else "#define START",
-        HEAD.replace("@ZEROS@", zeros), kernel.source,
+        HEAD.replace("@ZEROS@", zeros), code,
         LAUNCH.format(name=kernel.name, pointers=pointers),
     ])  # fmt: skip
     run = library(source, ("-std=c++20", "-O1", "-ffp-contract=off", "-pthread")).run

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.compiler.cuda import lockstep
+from rbjax.compiler.cuda import kernels, lockstep
 from rbjax.compiler.cuda.kernels import kernel
 from rbjax.compiler.ir.program import BatchLayout, batch_first
 from rbjax.compiler.ir.statements import Loop, While, walk
@@ -114,8 +114,10 @@ def test_results_are_those_of_samples(short, size):
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*biased at any step size")
-def test_a_rollout_with_contacts_and_its_gradient(short):
-    """Balls that fall, roll and jump, with different numbers of Newton steps."""
+def test_a_rollout_with_contacts_and_its_gradient(short, monkeypatch):
+    """Balls that fall, roll and jump, with different numbers of Newton steps; with their arrays in
+    shared memory."""
+    monkeypatch.setattr(kernels, "FILLS_REGISTERS", 0)
     model = rb.load(BALL)
     q = np.tile(model.default_state().q, (300, 1))
     q[:, 2] += 0.01 * RNG.normal(size=300)
@@ -127,6 +129,6 @@ def test_a_rollout_with_contacts_and_its_gradient(short):
     for f in (end, lambda q, v: jax.grad(lambda v: (end(q, v) ** 2).sum())(v)):
         want = np.asarray(jax.jit(jax.vmap(f))(q, v))
         code = kernel(written(f, q, v)[0])
-        assert code.block == 256 and "__syncthreads_or" in code.source
+        assert code.block == 256 and "__syncthreads_or" in code.source and code.shared_bytes
         (got,) = emulated(code, [q, v], [jax.ShapeDtypeStruct(want.shape, want.dtype)])
         assert relative_error(got, want) <= F64_TRANSFORM

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
@@ -70,16 +70,23 @@ class Printer:
 
     names: the C name of each array, by its id.
     in_step: the loops whose turns all warps of a block begin together (`lockstep`), by `id`.
+    shared: pointers to the arrays in shared memory (`shared_arrays`), by the array's id.
     """
 
-    def __init__(self, names: dict[int, str], in_step: Collection[int] = ()):
-        self.names, self.in_step = names, in_step
+    def __init__(
+        self, names: dict[int, str], in_step: Collection[int] = (),
+        shared: Mapping[int, str] | None = None,
+    ):  # fmt: skip
+        self.names, self.in_step, self.shared = names, in_step, shared or {}
 
     def value(self, x: ir.Value) -> str:
         return f"t{x.id}" if isinstance(x, ir.Var) else literal(x)
 
     def place(self, array: ir.Array, base: ir.Value | None, offset: int) -> str:
         name = self.names.get(array.id) or self.names.setdefault(array.id, _name(array))
+        if array.id in self.shared:
+            index = f"{offset}" if base is None else f"({self.value(base)}+{offset})"
+            return f"{name}[{index}*THREADS]"
         if base is None:
             return f"{name}[{offset}]"
         return f"{name}[{self.value(base)}{f'+{offset}' if offset > 0 else offset or ''}]"
@@ -103,6 +110,8 @@ class Printer:
                 yield f"{c_type(var.dtype)} {v(var)}={v(value)};"
             case ir.Assign(var=var, value=value):
                 yield f"{v(var)}={v(value)};"
+            case ir.Reserve(array=array) if array.id in self.shared:
+                yield f"{c_type(array.dtype)}* const a{array.id}={self.shared[array.id]};"
             case ir.Reserve(array=array):
                 yield f"{c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
             case ir.Loop() if _is_elementwise(statement):

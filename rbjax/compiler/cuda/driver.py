@@ -18,6 +18,10 @@ CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_at
 #: float32 lanes of a multiprocessor by compute capability; 128 for all others. Source: CUDA C++
 #: Programming Guide, "Throughput of Native Arithmetic Instructions"
 LANES = {"6.0": 64, "7.0": 64, "7.2": 64, "7.5": 64, "8.0": 64}
+#: KiB of shared memory of a multiprocessor that blocks may take, by compute capability; `LEAST_KIB`
+#: for all others. Source: the same, "Technical Specifications per Compute Capability"
+SHARED_KIB = {"7.0": 96, "8.0": 163, "8.7": 163, "9.0": 227, "10.0": 227, "10.3": 227}
+LEAST_KIB = 64
 #: the shortest PTX, in characters, that is compiled early
 LONG = 50_000
 _compiled: set[bytes] = set()  # digests of the PTX that this process has compiled early
@@ -48,6 +52,11 @@ class PeakRates:
 def lanes(capability: str) -> int:
     """Return the number of float32 lanes of a multiprocessor, by compute capability ("9.0")."""
     return LANES.get(capability, 128)
+
+
+def shared_bytes_of(capability: str) -> int:
+    """Return the bytes of shared memory of a multiprocessor, by compute capability ("9.0")."""
+    return SHARED_KIB.get(capability, LEAST_KIB) * 1024
 
 
 def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | None:

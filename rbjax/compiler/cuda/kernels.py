@@ -4,7 +4,8 @@ The warp loads rows of a batch-first operand through shared memory, so that it r
 lines. Batch-first results are stored in the same way (`stores`). Other layouts are read and written
 in place. A result that all samples share (the cotangent of an operand without a batch) is summed
 over the warp, which stores one partial sum. A block is one warp, so that no warp waits for another;
-or several warps, if a long program is faster when they run it in step (`lockstep`).
+or several warps, if a long program is faster when they run it in step (`lockstep`). The local
+arrays that a loop uses most are in shared memory too (`shared_arrays`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from dataclasses import dataclass
 
 from rbjax.compiler.cuda import lockstep, stores
 from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
+from rbjax.compiler.cuda.driver import shared_bytes_of
+from rbjax.compiler.cuda.shared_arrays import SharedArrays, arrays_in_shared_memory
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.statements import Unsupported
@@ -22,6 +25,10 @@ from rbjax.compiler.ir.statements import Unsupported
 WARP = 32
 #: bytes of shared memory in which the warps of a block stage their rows
 SHARED_BYTES = 47 * 1024
+#: bytes of shared memory that the driver takes for each block
+DRIVERS_BYTES = 1024
+#: programs of more statements use all registers, so that a multiprocessor holds few warps
+FILLS_REGISTERS = 3_000
 #: bytes of constant memory for tables; further tables are read through the cache
 CONSTANT_BYTES = 48 * 1024
 #: larger programs compile slowly: NVRTC needs a second per thousand statements
@@ -77,6 +84,7 @@ class Kernel:
 
     parts: number of parts of the batch. Each summed result has one row per part.
     summed: for each result, whether it is summed over the batch.
+    shared_bytes: dynamic shared memory of a block, in bytes.
     """
 
     source: str
@@ -85,10 +93,16 @@ class Kernel:
     grid: int
     parts: int
     summed: tuple[bool, ...]
+    shared_bytes: int = 0
 
 
-def kernel(program: Written, name: str = "threads") -> Kernel:
-    """Return the kernel of a program. Raise `Unsupported` if it is too large for a thread."""
+def kernel(
+    program: Written, name: str = "threads", multiprocessor_bytes: int = shared_bytes_of("9.0")
+) -> Kernel:
+    """Return the kernel of a program. Raise `Unsupported` if it is too large for a thread.
+
+    multiprocessor_bytes: the shared memory of a multiprocessor, for all its blocks.
+    """
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
@@ -98,9 +112,17 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
     parts = max(-(-math.prod(program.batch) // WARP), 1)
     loops = lockstep.loops_in_step(program)
     warps = lockstep.warps_of_block(parts) if loops else 1
-    room = _plan_shared_memory(program, SHARED_BYTES // (WARP * warps))
-    source = "\n".join(_lines(program, name, room, warps, parts, loops if warps > 1 else set()))
-    return Kernel(source, name, WARP * warps, -(-parts // warps), parts, program.summed)
+    grid, threads = -(-parts // warps), WARP * warps
+    left, shared = SHARED_BYTES, SharedArrays({}, 0)
+    if program.statements > FILLS_REGISTERS:
+        blocks = min(lockstep.MOST_WARPS // warps, -(-grid // lockstep.MULTIPROCESSORS))
+        room = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
+        shared = arrays_in_shared_memory(program.builder.block, threads, room)
+        left = min(left, room - shared.bytes) if shared.places else left
+    plan = _plan_shared_memory(program, left // threads)
+    in_step = loops if warps > 1 else set()
+    source = "\n".join(_lines(program, name, plan, warps, parts, in_step, shared))
+    return Kernel(source, name, threads, grid, parts, program.summed, shared.bytes)
 
 
 @dataclass(frozen=True)
@@ -162,17 +184,26 @@ def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
 
 
 def _lines(
-    program: Written, name: str, room: SharedMemoryPlan, warps: int, parts: int, in_step: set[int]
+    program: Written,
+    name: str,
+    room: SharedMemoryPlan,
+    warps: int,
+    parts: int,
+    in_step: set[int],
+    shared: SharedArrays,
 ) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield BASICS + HEAD + stores.HEAD + PREAMBLE
+    if shared.places:
+        yield f"#define THREADS {WARP * warps}"
+        yield "extern __shared__ uint4 dynamic[];"
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
     yield f'extern "C" __global__ void __launch_bounds__({WARP * warps}) {name}('
-    yield parameters(program, "__restrict__") + "){SPILL_TO_SHARED"
+    yield parameters(program, "__restrict__") + ("){" if shared.places else "){SPILL_TO_SHARED")
     yield f"const int warp={'(int)threadIdx.x/32' if warps > 1 else '0'};"
     yield f"const long long part=(long long)blockIdx.x*{warps}+warp;"
     if parts % warps:
@@ -222,7 +253,7 @@ def _lines(
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
     streaming = stores.streaming_arrays(program)
-    printer = stores.StorePrinter(names, tiles, room.spots, streaming, in_step)
+    printer = stores.StorePrinter(names, tiles, room.spots, streaming, in_step, shared.places)
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)

@@ -260,8 +260,9 @@ class StorePrinter(Printer):
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, RowTile]],
         spots: dict[int, TileSlot], streaming: set[int], in_step: set[int],
+        shared: dict[int, str],
     ):  # fmt: skip
-        super().__init__(names, in_step)
+        super().__init__(names, in_step, shared)
         self.tiles, self.spots, self.streaming = tiles, spots, streaming
 
     def _lines(self, statement: ir.Statement) -> Iterator[str]:

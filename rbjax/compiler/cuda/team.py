@@ -15,15 +15,16 @@ import math
 from collections.abc import Iterator
 
 from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
-from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, WARP, Kernel
+from rbjax.compiler.cuda.driver import shared_bytes_of
+from rbjax.compiler.cuda.kernels import BASICS, DRIVERS_BYTES, STATEMENTS_UP_TO, WARP, Kernel
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 
 #: threads of a team for batches of at most this many samples; a warp for larger batches
 TEAMS = {600: 128, 1200: 64}
-#: bytes of shared memory of a block, of a multiprocessor, and that the driver reserves per block
-SHARED_BYTES, SHARED_BYTES_IN_ALL, DRIVERS_BYTES = 47 * 1024, 227 * 1024, 1024
+#: bytes of shared memory of a block, and of a multiprocessor
+SHARED_BYTES, SHARED_BYTES_IN_ALL = 47 * 1024, shared_bytes_of("9.0")
 #: blocks that should reside on a multiprocessor: of one warp, and of larger teams
 RESIDENT, RESIDENT_LARGE = 16, 4
 #: the most operations of a thread's iterations that are unrolled

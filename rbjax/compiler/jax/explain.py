@@ -101,14 +101,15 @@ def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
     )  # fmt: skip
     if not (launch.has_gpu() and launch.kernels_work()):
         return found
-    code, capability, ordinal = kernel(program), launch.capability(), launch.ordinal()
+    code = kernel(program, multiprocessor_bytes=launch.multiprocessor_bytes())
+    capability, ordinal = launch.capability(), launch.ordinal()
     used = driver.resources(ptx(code.source, capability), code.name, ordinal)
     limits = driver.limits(capability, ordinal)
     many = [jnp.broadcast_to(x, (batch, *x.shape)) + jnp.zeros_like(x) for x in leaves]
     seconds = _seconds(jax.jit(jax.vmap(compile_threads(flat))), many)
     return dataclasses.replace(
         found, registers=used.registers, local_bytes=used.local_bytes,
-        shared_bytes=used.shared_bytes, seconds=seconds,
+        shared_bytes=used.shared_bytes + code.shared_bytes, seconds=seconds,
         of_instructions=batch * found.operations / seconds / limits.instructions,
         of_bandwidth=batch * found.moved_bytes / seconds / limits.bandwidth,
     )  # fmt: skip

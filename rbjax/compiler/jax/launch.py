@@ -23,8 +23,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from rbjax._jax_compat import GPU_KERNEL, typed
-from rbjax.compiler.cuda.driver import compile_ahead
-from rbjax.compiler.cuda.kernels import Kernel
+from rbjax.compiler.cuda.driver import compile_ahead, shared_bytes_of
+from rbjax.compiler.cuda.kernels import DRIVERS_BYTES, Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
 from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.ir.statements import Unsupported
@@ -120,16 +120,21 @@ def launch_kernel(
     except CompileError as error:
         raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
     compile_ahead(code, ordinal)
-    params = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
+    params = {
+        "name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block,
+        "shared_bytes": kernel.shared_bytes,
+    }  # fmt: skip
     return _gpu_kernel.bind(*operands, results=tuple(results), **params)
 
 
-def _lower_gpu_kernel(ctx, *operands, results, name: str, code: str, grid: int, block: int):
+def _lower_gpu_kernel(
+    ctx, *operands, results, name: str, code: str, grid: int, block: int, shared_bytes: int
+):
     one = np.int32(1)
     return typed_call(
         GPU_KERNEL, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
         grid_x=np.int32(grid), grid_y=one, grid_z=one,
-        block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
+        block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(shared_bytes),
     )  # fmt: skip
 
 
@@ -211,20 +216,33 @@ def passes_self_test(double: Callable[[np.ndarray], jax.Array], warning: str) ->
     return False
 
 
+def _double_on_gpu(x: np.ndarray, shared_bytes: int = 0) -> jax.Array:
+    test = Kernel(SELF_TEST, "self_test", x.size, 1, 1, (False,), shared_bytes)
+    run = jax.jit(lambda x: launch_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
+    with jax.ensure_compile_time_eval():
+        return run(jax.device_put(x, oldest_gpu()))
+
+
 @functools.cache
 def kernels_work() -> bool:
     """Return whether NVRTC compiles and XLA launches kernels. The first call runs a self-test."""
-
-    def double(x: np.ndarray) -> jax.Array:
-        test = Kernel(SELF_TEST, "self_test", x.size, 1, 1, (False,))
-        run = jax.jit(lambda x: launch_kernel(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        return run(jax.device_put(x, oldest_gpu()))
-
     return passes_self_test(
-        double,
+        _double_on_gpu,
         "rbjax: GPU kernels are disabled ({}), so batches run under XLA, several times slower. "
         'Install what they need with pip install "rbjax[cuda]", and a recent jax.',
     )
+
+
+@functools.cache
+def multiprocessor_bytes() -> int:
+    """Return the bytes of shared memory of a multiprocessor; 0 if a block cannot take all of it.
+    The first call runs a self-test."""
+    bytes = shared_bytes_of(capability())
+    if not has_gpu():  # a test compiles for a GPU
+        return bytes
+    test = functools.partial(_double_on_gpu, shared_bytes=bytes - DRIVERS_BYTES)
+    warning = "rbjax: kernels with large shared memory do not run ({}), so some take twice as long."
+    return bytes if passes_self_test(test, warning) else 0
 
 
 @functools.cache

@@ -200,7 +200,8 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         return launch.register_host_kernel(written, levels)
     if program.team and team.fits(written := write_program(*args, team=True)):
         return team.kernel(written)
-    return cuda.kernel(write_program(*args))
+    bytes = launch.multiprocessor_bytes()
+    return cuda.kernel(write_program(*args), multiprocessor_bytes=bytes)
 
 
 @functools.cache

@@ -1,0 +1,89 @@
+"""Chooses the local arrays of a thread that are in shared memory.
+
+The arrays of the threads of a multiprocessor are larger than its first cache, and in a loop their
+traffic to the second cache bounds the rate. So the arrays with the most accesses for each byte are
+in shared memory. Entry k of an array is at `array[k * THREADS]`, which the threads of a warp read
+without bank conflicts. An array whose indices are all constants is left to the compiler, which
+keeps it in registers; and an array with few accesses, because rows of operands and results use
+shared memory too (`kernels`).
+
+`python -m benchmarks.gpu.contact` measures rollouts with contacts.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from rbjax.compiler.ir import statements as ir
+from rbjax.compiler.ir.c_text import c_type
+
+#: assumed iterations of a `while` loop, and of a `while` loop in its body
+ITERATIONS, INNER_ITERATIONS = 6.0, 2.0
+#: the fewest accesses of an entry of an array in shared memory
+LEAST_ACCESSES = 16.0
+#: arrays start at multiples of this number of bytes
+ALIGN = 16
+
+
+@dataclass(frozen=True)
+class SharedArrays:
+    """Arrays in dynamic shared memory.
+
+    places: C text of the pointer to a thread's first entry of each array, by its id.
+    bytes: size of the shared memory of a block.
+    """
+
+    places: dict[int, str]
+    bytes: int
+
+
+@dataclass
+class _Uses:
+    """The arrays of a program, and by their ids the accesses and whether an index is a variable."""
+
+    arrays: dict[int, ir.Array] = field(default_factory=dict)
+    accesses: Counter[int] = field(default_factory=Counter)
+    indexed: set[int] = field(default_factory=set)
+
+
+def arrays_in_shared_memory(block: ir.Block, threads: int, room: int) -> SharedArrays:
+    """Choose arrays for the shared memory of a block of threads, of `room` bytes."""
+    uses, places, end = _Uses(), dict[int, str](), 0
+    _count(block, uses, 1.0, ITERATIONS)
+
+    often = {  # accesses of an entry, for each byte of it
+        key: uses.accesses[key] / a.size / a.dtype.itemsize
+        for key, a in uses.arrays.items()
+        if key in uses.indexed and uses.accesses[key] >= LEAST_ACCESSES * a.size
+    }
+    for key in sorted(often, key=lambda key: -often[key]):
+        a = uses.arrays[key]
+        bytes = -(-a.size * a.dtype.itemsize * threads // ALIGN) * ALIGN
+        if end + bytes <= room:
+            places[key] = f"({c_type(a.dtype)}*)(dynamic+{end // ALIGN})+threadIdx.x"
+            end += bytes
+    return SharedArrays(places, end)
+
+
+def _count(block: ir.Block, uses: _Uses, times: float, iterations: float) -> None:
+    """Add the uses of arrays in a block.
+
+    times: how often the block runs. iterations: of a `while` loop in it.
+    """
+    for s in block.statements:
+        match s:
+            case ir.Reserve(array=array) if array.size:
+                uses.arrays[array.id] = array
+            case ir.Load(array=array, base=base) | ir.Store(array=array, base=base):
+                uses.accesses[array.id] += times
+                if isinstance(base, ir.Var):
+                    uses.indexed.add(array.id)
+            case ir.Loop(count=count, body=body):
+                _count(body, uses, times * count, iterations)
+            case ir.While():
+                for inner in s.children():
+                    _count(inner, uses, times * iterations, INNER_ITERATIONS)
+            case _:
+                for inner in s.children():
+                    _count(inner, uses, times, iterations)
