@@ -216,7 +216,7 @@ def test_derivative_by_the_length():
         tip = beam.poses(list(q), [length, *params[1:]])[beam.tip]
         return jnp.stack([*tip.p])
 
-    curved = jnp.asarray([float(c < 3) for c, _ in beam.columns])
+    curved = jnp.asarray([float(c < 3) for c, _ in beam.coefficients])
     at, along = jax.jvp(lambda x: r(x, L), (q,), (q * curved,))
     by_length = jax.jvp(lambda x: r(q, x), (L,), (1.0,))[1]
     assert np.abs(by_length - (at + along) / L).max() < 1e-13
