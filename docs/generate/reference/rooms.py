@@ -216,7 +216,8 @@ def returned(value: Any) -> Iterator[type]:
         if not name.startswith("_") and inspect.isfunction(member):
             found.append(hints(member).get("return"))
     for cls in classes_in(*found):
-        if cls.__module__.split(".")[:2] == home and hasattr(cls, "_repr_html_"):
+        shown = hasattr(cls, "_repr_html_") or hasattr(cls, "_fields")
+        if cls.__module__.split(".")[:2] == home and shown:
             yield cls
 
 

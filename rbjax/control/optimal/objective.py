@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.optimal.problem import BODY, Knot, Problem, append, take
+from rbjax.display import displayed
 from rbjax.errors import InputError
 
 
@@ -97,6 +98,7 @@ PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 FALLS = 0.25  # the penalty rises if the violation does not fall to this fraction
 
 
+@displayed
 class ConstraintMultipliers(NamedTuple):
     """Multipliers of the constraints: path (N, c), end (e,); and the penalty mu ()."""
 
