@@ -144,6 +144,8 @@ def plan(
     """
     choice("method", method, methods())
     flag("plan", "backwards", backwards)
+    angle = "an angle above 0 and up to 1.5 rad"
+    real_number("plan", "steering", steering, angle, above=0.0, least=0.0, most=1.5)
     instance("plan", "grid", grid, OccupancyGrid, "rb.planning.OccupancyGrid")
     instance(
         "plan", "robot", robot, (Robot, Footprint), "rb.wheeled.Robot or rb.planning.Footprint"

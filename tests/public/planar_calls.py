@@ -83,8 +83,8 @@ DRIVEN = Path(START, [[1.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
 SEARCH = {"grid": GRID, "footprint": DISC, "start": START, "goal": GOAL, "controls": CAR,
           "headings": 36, "max_count": 2000}  # fmt: skip
 PLANNING: Calls = {
-    "plan": {"grid": GRID, "footprint": DISC, "start": START, "goal": GOAL, "drive": "car",
-             "radius": 0.5, "method": "hybrid_a_star", "backwards": True},
+    "plan": {"grid": GRID, "robot": DISC, "start": START, "goal": GOAL, "drive": "car",
+             "radius": 0.5, "steering": 0.6, "method": "hybrid_a_star", "backwards": True},
     "dubins": {"start": START, "goal": GOAL, "radius": 0.5},
     "reeds_shepp": {"start": START, "goal": GOAL, "radius": 0.5},
     "OccupancyGrid": {"occupied": np.zeros((5, 5), bool), "resolution": 0.2, "origin": (0.0, 0.0)},

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rbjax.arguments import real_number
 from rbjax.errors import InputError
 from rbjax.wheeled import Robot
 from rbjax.wheeled.robot.arrangement import constraint_row
@@ -21,9 +20,6 @@ def drive_of(robot: Robot, steering: float) -> tuple[str, float | None]:
     Raises:
         InputError: a robot with trailers, or whose wheels do not fit the motions of a drive.
     """
-    real_number(
-        "plan", "steering", steering, "an angle from 0 to 1.5 rad", above=0.0, least=0.0, most=1.5
-    )
     leaders = robot.arrangement.leaders
     straight = np.zeros(len(robot.steerings))
     rows = {x: constraint_row(robot, x, straight) for x in leaders}
