@@ -81,7 +81,7 @@ def solve(
     return _solve(model, state, *given, t=t, dt=dt, contact=law)
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="contact.solve")
+@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="contact.solve", long=True)
 def _solve(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
     *, t: Any = 0.0, dt: Any = None, contact: Any = None, law: Any = None,

@@ -88,7 +88,9 @@ def acceleration(
     )
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", where="acceleration", saves=saves_factors)
+@algorithm(
+    "state", "ctrl", "tau", "wrenches", "t", where="acceleration", long=True, saves=saves_factors
+)
 def _acceleration(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
     *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None, contact: Any = None,
@@ -181,7 +183,7 @@ def _solves(model: Model, *args: Any, contact: Any, dynamics: Any, **others: Any
     return (contact or own) is not None or isinstance(dynamics, SoftContact | CoulombContact)
 
 
-@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step", saves=_solves)
+@algorithm("state", "ctrl", "dt", "tau", "wrenches", "t", where="step", long=True, saves=_solves)
 def _step(
     model: Model, state: State, ctrl: Any = None, dt: Any = None, tau: Any = None,
     wrenches: Any = None, *, t: Any = 0.0, integrator: Any = None, dynamics: Any = free_motion,

@@ -92,7 +92,7 @@ def sense(
     return _by_name(model, values) if named else values
 
 
-@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="sense")
+@algorithm("state", "ctrl", "tau", "wrenches", "t", "dt", where="sense", long=True)
 def _sense(
     model: Model, state: State, ctrl: Any = None, tau: Any = None, wrenches: Any = None,
     *, t: Any = 0.0, dynamics: Any = free_motion, constraints: Any = None, contact: Any = None,

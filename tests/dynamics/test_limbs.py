@@ -17,7 +17,7 @@ from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
-from tests.compiler.host import COMPILER, on_host
+from tests.compiler.host import COMPILER, on_host, written
 from tests.robots import Robot, load_quietly, robot
 from tests.tolerances import F64_PARITY, relative_error
 
@@ -336,3 +336,21 @@ def test_programs_of_robots_are_short():
         ins = [batch_first(x.shape, (4,)) for x in shapes]
         program = write_program(closed, (4,), ins, [batch_first((model.nv,), (4,))])
         assert program.statements <= most
+
+
+def test_a_loop_of_steps_has_the_driver_of_a_rollout():
+    """A tree that is by limbs in `rollout` is so in a user's loop of `step`, of an f32 thread."""
+    with jax.enable_x64(False):
+        model = load_quietly("humanoid", contacts=False)
+        start = model.default_state()
+        q, v = (jnp.asarray(x, jnp.float32)[None] for x in (start.q, start.v))
+
+        def loop(q, v):
+            turn = lambda x, _: (rb.step(model, x, dt=0.002), None)  # noqa: E731
+            return jax.lax.scan(turn, rb.State(q, v), None, length=3)[0].q
+
+        def rollout(q, v):
+            return rb.rollout(model, rb.State(q, v), None, 0.002, steps=3, save_every=3).q[-1]
+
+        one, other = (written(f, q, v)[0].statements for f in (loop, rollout))
+    assert one < 1.05 * other

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from docs.generate.figures.kinds import Figure, Number
 
-H200 = "nvidia-h200"
+H100, H200 = "nvidia-h100-80gb-hbm3", "nvidia-h200"
 CORE = "cpu-contact-amd-epyc"
 MAP = "contact-map-amd-epyc"
 
@@ -12,8 +12,8 @@ MAP = "contact-map-amd-epyc"
 def _gpu() -> dict[str, Figure]:
     out: dict[str, Figure] = {}
     for robot in ("humanoid", "humanoid_feet", "go1", "g1"):
-        file = f"gpu-contact-{robot}-{H200}"
-        for part in ("rollout", "free", "mjx"):
+        for part, device in (("rollout", H100), ("free", H100), ("mjx", H200)):
+            file = f"gpu-contact-{robot}-{device}"
             where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)

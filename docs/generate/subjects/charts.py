@@ -39,7 +39,7 @@ CHARTS = {
         against_mjx("gradient"),
     ),
     "contact.svg": Bars(
-        "Steps of robots on the floor on an H200, f32",
+        "Steps of robots on the floor, f32; rbjax on an H100, others on an H200",
         "million a second",
         {title: on_the_floor(robot) for robot, title in STANDING.items()},
     ),

@@ -121,7 +121,7 @@ TABLES = {
     ),
     "gpu contact": Pivot(
         ("gpu-contact-*",),
-        (ROBOT,),
+        (C("on"), ROBOT),
         "what",
         RATE,
         order=CONTACT_PARTS,
@@ -142,7 +142,7 @@ TABLES = {
     ),
     "gpu contact compile": Pivot(
         ("gpu-contact-*",),
-        (ROBOT,),
+        (C("on"), ROBOT),
         "what",
         COMPILED,
         order=CONTACT_PARTS,
