@@ -78,5 +78,27 @@ def register(joint: Joint) -> None:
     _KINDS[joint.name] = joint
 
 
+def dump_kind(joint: Joint) -> tuple[str | Joint, bool]:
+    """Return the content of a pickle for a kind of joint: the name of a built-in kind, or the kind,
+    and whether it is registered."""
+    registered = _KINDS.get(joint.name) is joint
+    return joint.name if registered and joint.name in _BUILT_IN else joint, registered
+
+
+def load_kind(joint: str | Joint, registered: bool) -> Joint:
+    """Return a kind of joint from the content of a pickle.
+
+    A kind that was registered is registered again, unless its name and class are registered.
+    """
+    if isinstance(joint, str):
+        return kind(joint)
+    if not registered:
+        return joint
+    there = _KINDS.get(joint.name)
+    if there is None or _class_of(there) != _class_of(joint):
+        register(joint)
+    return kind(joint.name)
+
+
 def _class_of(joint: Joint) -> tuple[str, str]:
     return type(joint).__module__, type(joint).__qualname__

@@ -20,6 +20,7 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 from rbjax.joints import DofKind, DofSpec, Flexible, Joint, kind
+from rbjax.joints.registry import dump_kind, load_kind
 
 WORLD = -1
 
@@ -90,9 +91,9 @@ class Topology:
             object.__setattr__(self, "joints", tuple(kind(name) for name in self.joint_kinds))
 
     def __reduce__(self) -> tuple:
-        """Pickle the names of the joint kinds instead of the kinds."""
-        given = [getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "joints"]
-        return Topology, tuple(given)
+        """Pickle the joint kinds such that the registered ones are registered again."""
+        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return _unpickle, (given | {"joints": tuple(map(dump_kind, self.joints))},)
 
     @property
     def nb(self) -> int:
@@ -238,6 +239,11 @@ class Topology:
     def constant_axes(self) -> bool:
         """True if the axis of each dof is constant in the frame of the dof."""
         return all(dof.kind.constant_axis for dof in self.links)
+
+
+def _unpickle(fields: dict[str, Any]) -> Topology:
+    joints = tuple(load_kind(*x) for x in fields["joints"])
+    return Topology(**fields | {"joints": joints})
 
 
 def _moved(some: range, start: int) -> range:

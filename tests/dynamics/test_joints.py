@@ -1,8 +1,8 @@
 """Every kind of joint, on every driver: against MuJoCo's chains of hinges and slides, Pinocchio's
 own joints, and identities that hold for any joint."""
 
+import copy
 import functools
-import pickle
 
 import jax
 import jax.numpy as jnp
@@ -439,8 +439,8 @@ def test_a_kind_registered_anew_is_another_program() -> None:
     steep = rail(2.0)
     energies = [rb.kinetic_energy(m, q, jnp.array([1.0, 0.0])) for m in (steep, flat)]
     np.testing.assert_allclose(energies, [5 * before, before], rtol=F64_ROUNDING)
-    again = pickle.loads(pickle.dumps(steep.topology))
-    assert again.joint_kinds == steep.topology.joint_kinds and again.dofs
+    again = copy.deepcopy(steep.topology)
+    assert again == steep.topology and again.dofs
 
 
 def test_registering() -> None:

@@ -174,6 +174,9 @@ class ModalLink(Flexible):
     def __hash__(self) -> int:
         return hash(self.layout)
 
+    def __reduce__(self) -> tuple:
+        return ModalLink, (self.layout, self.params["numbers"])
+
     def frames(
         self, q: Sequence[Lane], v: Sequence[Lane], params: Sequence[Lane]
     ) -> list[FrameMotion]:

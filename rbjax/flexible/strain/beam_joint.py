@@ -91,6 +91,16 @@ class StrainBeam(Flexible):
         }
         super().__init__()
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StrainBeam) and self.shape == other.shape
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __reduce__(self) -> tuple:
+        """Pickle the static configuration, from which the kind is created and registered."""
+        return _registered, (self.shape,)
+
     @property
     def body_frame(self) -> int:
         return self.tip
