@@ -138,23 +138,24 @@ class Beam(Record):
         return BeamElasticity(C, viscosity, name)
 
     def reduced(self, snapshots: Any, count: int | Mapping[str, int] | None = None) -> Beam:
-        """Reduce the coordinates to the principal combinations of given states of the beam.
+        """Reduce the coordinates by proper orthogonal decomposition of given states of the beam.
 
-        The strains are then xi_0 + sum_j P_j T_j q with a constant basis T, the proper orthogonal
-        decomposition of the snapshots in the inner product of the elastic energy. Length, section
-        and damping stay parameters. Large deflections and rotations stay exact within the basis.
+        The strains are then xi_0 + sum_j P_j T_j q with a constant basis T, whose columns are the
+        principal directions of the snapshots in the inner product of the elastic energy. Length,
+        section and damping stay parameters. Large deflections and rotations are exact for the
+        strains of the basis.
 
         Args:
             snapshots: (k, n), coordinates of this beam: `vibration_modes`, `static_modes`, static
-                solutions or a motion, or several of them (np.concatenate). Their size is their
-                weight.
-            count: the number of coordinates, for combinations of all strains. Or strain -> number,
-                for separate coordinates of each strain, whose stiffness matrix is diagonal if the
-                section is uniform and has no couplings. None keeps all independent snapshots.
+                solutions or a motion, or several of them (np.concatenate). A larger snapshot has
+                more weight.
+            count: the number of coordinates, each with all strains; None for the number of
+                independent snapshots. Or strain -> number, for separate coordinates of each strain.
+                Then the stiffness matrix is diagonal for any uniform section without couplings.
 
         Returns:
-            the beam in the new coordinates. Each is the largest strain of its shape: 1/m, or 1 if
-            it is of e_x, g_y or g_z.
+            the beam in the new coordinates. The value of a coordinate is the largest strain of its
+            shape: 1/m for k_x, k_y and k_z, without unit for e_x, g_y and g_z.
 
         Raises:
             InputError: a wrong shape, values that are not finite or not constants, more coordinates
@@ -177,13 +178,13 @@ class Beam(Record):
         """Compute the linear vibration modes of the beam, clamped at its base and free at its tip.
 
         Args:
-            count: the number of modes, those of the lowest frequencies.
+            count: the number of modes, from the lowest frequency upwards.
 
         Returns:
             (count, n), coordinates of this beam, each of the elastic energy 1/2 J.
 
         Raises:
-            InputError: a number of modes out of range, or parameters that are not constants.
+            InputError: a number of modes out of range, or traced parameters.
 
         Source: Craig, *Structural Dynamics*, 1981.
 
@@ -196,17 +197,17 @@ class Beam(Record):
         return reduced_basis.vibration_modes(self, count)
 
     def static_modes(self) -> np.ndarray:
-        """Compute the strains under unit forces and moments on the tip.
+        """Compute the linear static deflections under unit forces and moments at the tip.
 
-        A basis with them carries loads, bodies and constraints at the tip. Vibration modes alone
-        have no curvature at the tip.
+        Add them to the snapshots of `reduced` if loads, bodies or constraints act at the tip:
+        vibration modes have no curvature there.
 
         Returns:
             (m, n), coordinates of this beam, each of the elastic energy 1/2 J; m is at most six,
             because a load that does not strain the beam is left out.
 
         Raises:
-            InputError: parameters that are not constants.
+            InputError: traced parameters.
 
         Source: Craig, *Structural Dynamics*, 1981.
 
@@ -273,7 +274,8 @@ def beam(
         inertia: (3,) rotary inertia about x, y, z, kg m, if `section` is a stiffness.
         damping: s, the ratio of viscosity to stiffness (Kelvin and Voigt): one number, or six.
         natural: "k_x", "k_y" or "k_z" -> Legendre coefficients of natural twist or curvature, 1/m.
-        points: the number of Gauss points; by default the coefficients of a strain + 3.
+        points: the number of Gauss points; by default n + 3, where n is the largest number of
+            coefficients of a strain.
 
     Returns:
         the beam.
@@ -362,7 +364,7 @@ def _check_stations(length: jax.Array, section: Section, joint: StrainBeam) -> N
     stations, points = np.shape(section.mass), joint.shape.points
     if stations not in ((), (points,)):
         raise InputError(
-            f"beam: the numbers of the section have the shape {stations}, expected () for a "
+            f"beam: the values of the section have the shape {stations}, expected () for a "
             f"uniform beam or ({points},), one at each Gauss point of a tapered beam; points= sets "
             "their number"
         )

@@ -2,11 +2,13 @@
 
     xi = xi_0 + sum_j P_j T_j q,   T^T K T diagonal
 
-The columns of T are the principal directions of given states of the beam in the inner product of
-the elastic energy (proper orthogonal decomposition; Volkwein, *Proper Orthogonal Decomposition:
-Theory and Reduced-Order Modelling*, 2013). The states are vibration modes and static modes (Craig,
-*Coupling of substructures for dynamic analyses*, 2000), static solutions or a motion. The strains
-are reduced, and the kinematics stay exact: large deflections and rotations need no further terms.
+T_j are the rows of T for the coefficients of degree j, and K is the stiffness of the Legendre
+coefficients. The columns of T are the principal directions of given states of the beam in the inner
+product of the elastic energy (proper orthogonal decomposition; Volkwein, *Proper Orthogonal
+Decomposition: Theory and Reduced-Order Modelling*, 2013). The states are vibration modes, static
+modes (Craig, *Coupling of substructures for dynamic analyses*, 2000), static solutions or a motion.
+The strains are reduced, and the kinematics are exact: large deflections and rotations need no
+further terms.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from rbjax.flexible.beams import Beam
 
 _CONSTANTS = "constants, because a basis does not depend on traced values"
-_LEAST = 1e-10  # singular values below this part of the largest are rounding errors
+_LEAST = 1e-10  # singular values below this fraction of the largest are rounding errors
 
 
 def principal_shapes(
@@ -36,11 +38,11 @@ def principal_shapes(
 ) -> tuple[tuple[float, ...], ...]:
     """Compute the rows of the basis T of `Beam.reduced`."""
     joint, where = beam.joint(), "Beam.reduced"
-    K = _stiffness(where, beam, beam.replace(basis=()).joint())
+    K = _stiffness(where, beam, beam.replace(basis=()).joint())  # of the Legendre coefficients
     q = real_array(where, "snapshots", snapshots, "coordinates of the beam, constants")
     if q.ndim != 2 or q.shape[1] != joint.coordinates:
         raise InputError(
-            f"Beam.reduced: snapshots has the shape {q.shape}, expected (k, {joint.coordinates}), "
+            f"{where}: snapshots has the shape {q.shape}, expected (k, {joint.coordinates}), "
             "one row of coordinates of the beam for each state"
         )
     X = q @ np.array(joint.basis).T
@@ -54,12 +56,15 @@ def principal_shapes(
         T = np.concatenate([T, np.zeros((len(K), found.shape[1]))], 1)
         T[own, -found.shape[1] :] = found
     if not T.shape[1]:
-        raise InputError("Beam.reduced: count is empty, expected a number for at least one strain")
+        raise InputError(f"{where}: count is empty, expected a number for at least one strain")
     return tuple(map(tuple, (T / _largest_strain(joint, T)).tolist()))
 
 
 def _principal(what: str, X: np.ndarray, K: np.ndarray, count: Any) -> np.ndarray:
-    """Compute the principal directions (coefficients, count) of the rows of X."""
+    """Compute the principal directions (coefficients, count) of the rows of X.
+
+    what: the strains of the coefficients, for errors. count: None for as many as independent rows.
+    """
     factor = np.linalg.cholesky(K)
     _, sizes, directions = np.linalg.svd(X @ factor, full_matrices=False)
     rank = int((sizes > _LEAST * sizes[:1]).sum())
@@ -78,7 +83,7 @@ def _principal(what: str, X: np.ndarray, K: np.ndarray, count: Any) -> np.ndarra
 
 
 def _largest_strain(joint: StrainBeam, T: np.ndarray) -> np.ndarray:
-    """Compute the largest strain of each column, with the sign that it has."""
+    """Compute the strain of largest size of each column, with its sign."""
     values = [np.zeros((len(STRAINS), T.shape[1])) for _ in joint.values]
     for at, P in zip(values, joint.values, strict=True):
         for (k, j), row in zip(joint.coefficients, T, strict=True):
@@ -102,6 +107,7 @@ def vibration_modes(beam: Beam, count: int) -> np.ndarray:
         M += S @ inertia @ S.T
     K = _stiffness(where, beam, joint)
     scale = np.sqrt(np.diag(K))
+    # M x = K x / omega^2, in coordinates of unit stiffness
     _, modes = scipy.linalg.eigh(M / scale / scale[:, None], K / scale / scale[:, None])
     return (modes[:, ::-1][:, :count] / scale[:, None]).T
 
@@ -117,6 +123,7 @@ def static_modes(beam: Beam) -> np.ndarray:
 
 
 def _stiffness(where: str, beam: Beam, joint: StrainBeam) -> np.ndarray:
+    """Compute the stiffness matrix of a beam in the coordinates of a joint."""
     C = real_array(where, "section.stiffness", beam.elasticity("").stiffness, _CONSTANTS)
     length = real_array(where, "length", beam.length, _CONSTANTS)
     return np.array(stiffness_matrix(joint, C.tolist(), float(length)))
@@ -127,6 +134,6 @@ def _frames_at_rest(
 ) -> list[tuple[FrameMotion, np.ndarray]]:
     """Return the frames of a beam at q = 0 and their axes (coordinates, 6)."""
     params = real_array(where, "the parameters", beam.params(joint), _CONSTANTS).tolist()
-    still = [0.0] * joint.coordinates
-    frames = joint.frames(still, still, params)
+    zero = [0.0] * joint.coordinates
+    frames = joint.frames(zero, zero, params)
     return [(x, np.array([[float(y) for y in axis] for axis in x.axes])) for x in frames]

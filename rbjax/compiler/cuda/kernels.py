@@ -25,7 +25,7 @@ from rbjax.compiler.ir.statements import Unsupported
 WARP = 32
 #: bytes of shared memory in which the warps of a block stage their rows
 SHARED_BYTES = 47 * 1024
-#: bytes of shared memory that the driver takes for each block
+#: bytes of shared memory that the driver reserves for each block
 DRIVERS_BYTES = 1024
 #: programs of more statements use all registers, so that a multiprocessor holds few warps
 FILLS_REGISTERS = 3_000
@@ -48,7 +48,7 @@ typedef double c_double;
 HEAD = """
 #define LANE ((int)threadIdx.x % 32)
 #define AT_ONCE 16
-// what does not fit into registers goes to shared memory: local memory that L1 cannot hold is L2's
+// registers spill to shared memory, because local memory that does not fit into L1 is in L2
 #if __CUDACC_VER_MAJOR__ >= 13
 #define SPILL_TO_SHARED asm volatile(".pragma \\"enable_smem_spilling\\";");
 #else
@@ -59,7 +59,7 @@ template <class T, int N, int PITCH> QUALIFIED void load_rows(T* to, const T* fr
     for (int k = LANE; k < rows * N; k += 32) to[PITCH == N ? k : k + k / N] = from[k];
     return;
   }
-  for (int first = 0; first < N; first += AT_ONCE) {  // many reads on their way at a time
+  for (int first = 0; first < N; first += AT_ONCE) {  // many reads are in flight
     T held[AT_ONCE];
 #pragma unroll
     for (int j = 0; j < AT_ONCE; j++)
@@ -113,13 +113,14 @@ def kernel(
     loops = lockstep.loops_in_step(program)
     warps = lockstep.warps_of_block(parts) if loops else 1
     grid, threads = -(-parts // warps), WARP * warps
-    left, shared = SHARED_BYTES, SharedArrays({}, 0)
+    available, shared = SHARED_BYTES, SharedArrays({}, 0)
     if program.statements > FILLS_REGISTERS:
         blocks = min(lockstep.MOST_WARPS // warps, -(-grid // lockstep.MULTIPROCESSORS))
-        room = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
-        shared = arrays_in_shared_memory(program.builder.block, threads, room)
-        left = min(left, room - shared.bytes) if shared.places else left
-    plan = _plan_shared_memory(program, left // threads)
+        of_block = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
+        shared = arrays_in_shared_memory(program.builder.block, threads, of_block)
+        if shared.places:
+            available = min(available, of_block - shared.bytes)
+    plan = _plan_shared_memory(program, available // threads)
     in_step = loops if warps > 1 else set()
     source = "\n".join(_lines(program, name, plan, warps, parts, in_step, shared))
     return Kernel(source, name, threads, grid, parts, program.summed, shared.bytes)
@@ -132,14 +133,14 @@ class SharedMemoryPlan:
     staged: for each operand that is loaded through shared memory, the entries of a row.
     whole: results whose rows are staged as a whole.
     tiled: results that are stored in chunks through the tile.
-    spots: the tile slots of their stores, by the id of the store.
+    slots: the tile slots of their stores, by the id of the store.
     tile: bytes of the tile per thread.
     """
 
     staged: dict[int, int]
     whole: dict[int, stores.RowTile]
     tiled: dict[int, stores.RowTile]
-    spots: dict[int, stores.TileSlot]
+    slots: dict[int, stores.TileSlot]
     tile: int
 
 
@@ -148,28 +149,28 @@ def _pitch(row: int) -> int:
     return row | 1
 
 
-def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
+def _plan_shared_memory(program: Written, available: int) -> SharedMemoryPlan:
     """Allocate shared memory to results staged as a whole, to the tile, and then to the operands
     that are read. Rows that are written at once and in order go through the tile, which they share.
     While the results do not fit, the largest one goes through the tile instead.
 
-    left: bytes for a thread."""
+    available: bytes for a thread."""
     kinds = {a.id: a.dtype for a in program.results}
     rows = stores.row_sizes(program)
     at_once = stores.written_at_once(program, rows)
     short = [key for key, row in rows.items() if stores.is_staged(row) and key not in at_once]
     whole = {key: stores.whole_rows(kinds[key], rows[key]) for key in short}
     while True:
-        tiled, spots = stores.assign_tile(
+        tiled, slots = stores.assign_tile(
             program, {k: n for k, n in rows.items() if k not in whole}
         )
         tile = max((r.bytes for r in tiled.values()), default=0)
         total = tile + sum(r.bytes for r in whole.values())
-        if total <= left or not whole:
+        if total <= available or not whole:
             break
         del whole[max(whole, key=lambda k: whole[k].bytes)]
-    if total > left:
-        tiled, spots, tile, total = {}, {}, 0, 0
+    if total > available:
+        tiled, slots, tile, total = {}, {}, 0, 0
     wanted, read = {}, stores.read_arrays(program)
     for array, layout in zip(program.operands, program.layouts[0], strict=True):
         row = layout.rows(program.batch)
@@ -177,16 +178,16 @@ def _plan_shared_memory(program: Written, left: int) -> SharedMemoryPlan:
             wanted[array.id] = row, _pitch(row) * array.dtype.itemsize
     staged = {}
     for key, (row, bytes) in sorted(wanted.items(), key=lambda x: x[1][1]):
-        if total + bytes <= left:
+        if total + bytes <= available:
             total += bytes
             staged[key] = row
-    return SharedMemoryPlan(staged, whole, tiled, spots, tile)
+    return SharedMemoryPlan(staged, whole, tiled, slots, tile)
 
 
 def _lines(
     program: Written,
     name: str,
-    room: SharedMemoryPlan,
+    plan: SharedMemoryPlan,
     warps: int,
     parts: int,
     in_step: set[int],
@@ -198,10 +199,10 @@ def _lines(
     if shared.places:
         yield f"#define THREADS {WARP * warps}"
         yield "extern __shared__ uint4 dynamic[];"
-    left = CONSTANT_BYTES
+    constant = CONSTANT_BYTES
     for array in program.builder.tables:
-        left -= array.size * array.dtype.itemsize
-        yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
+        constant -= array.size * array.dtype.itemsize
+        yield table(array, "static __constant__" if constant >= 0 else "static __device__ const")
     yield f'extern "C" __global__ void __launch_bounds__({WARP * warps}) {name}('
     yield parameters(program, "__restrict__") + ("){" if shared.places else "){SPILL_TO_SHARED")
     yield f"const int warp={'(int)threadIdx.x/32' if warps > 1 else '0'};"
@@ -216,7 +217,7 @@ def _lines(
     names: dict[int, str] = {}
     for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
         names[array.id] = f"x{k}"
-        kind, row = c_type(array.dtype), room.staged.get(array.id)
+        kind, row = c_type(array.dtype), plan.staged.get(array.id)
         if row is None:
             yield f"const {kind}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
         else:
@@ -225,37 +226,39 @@ def _lines(
             yield f"{kind}* const s{k}=all_s{k}+warp*{pitch * WARP};"
             yield f"load_rows<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
-    if room.staged:
+    if plan.staged:
         yield "__syncwarp();"
-    if room.tiled:
-        words_of_tile = room.tile * WARP // 16
+    if plan.tiled:
+        words_of_tile = plan.tile * WARP // 16
         yield f"__shared__ uint4 tiles[{words_of_tile * warps}];"
         yield f"uint4* const tile=tiles+warp*{words_of_tile};"
     tiles: dict[int, tuple[int, stores.RowTile]] = {}
-    leaving = []
+    store_calls = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
         kind, key = c_type(array.dtype), array.id
         if program.summed[k]:
             yield f"{kind} y{k}[{max(array.size, 1)}];"
-        elif key in room.whole:
-            n, pitch = room.whole[key].size, room.whole[key].pitch
-            words = room.whole[key].bytes * WARP // 16
+        elif key in plan.whole:
+            n, pitch = plan.whole[key].size, plan.whole[key].pitch
+            words = plan.whole[key].bytes * WARP // 16
             yield f"__shared__ uint4 all_o{k}[{words * warps}];"
             yield f"uint4* const o{k}=all_o{k}+warp*{words};"
             yield f"{kind}* const y{k}=({kind}*)o{k}+LANE*{pitch};"
-            leaving.append(f"store_rows<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
-        elif key in room.tiled:
-            tiles[key] = k, room.tiled[key]
+            store_calls.append(
+                f"store_rows<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);"
+            )
+        elif key in plan.tiled:
+            tiles[key] = k, plan.tiled[key]
             yield f"{kind}* const w{k}=({kind}*)tile;"
-            yield f"{kind}* const v{k}=r{k}+first*{room.tiled[key].size};"
+            yield f"{kind}* const v{k}=r{k}+first*{plan.tiled[key].size};"
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
     streaming = stores.streaming_arrays(program)
-    printer = stores.StorePrinter(names, tiles, room.spots, streaming, in_step, shared.places)
+    printer = stores.StorePrinter(names, tiles, plan.slots, streaming, in_step, shared.places)
     yield from printer.lines(program.builder.block)
-    yield from leaving
+    yield from store_calls
     yield from _sums(program)
     yield "}"
 

@@ -1,18 +1,18 @@
 """Chooses the local arrays of a thread that are in shared memory.
 
-The arrays of the threads of a multiprocessor are larger than its first cache, and in a loop their
-traffic to the second cache bounds the rate. So the arrays with the most accesses for each byte are
-in shared memory. Entry k of an array is at `array[k * THREADS]`, which the threads of a warp read
-without bank conflicts. An array whose indices are all constants is left to the compiler, which
-keeps it in registers; and an array with few accesses, because rows of operands and results use
-shared memory too (`kernels`).
+The local arrays of all threads of a multiprocessor do not fit into its L1 cache, and in a loop
+their traffic to the L2 cache bounds the rate. So the arrays with the most accesses for each byte
+are in shared memory. Entry k of an array is at `array[k * THREADS]`, which the threads of a warp
+read without bank conflicts. Two kinds of arrays stay local: arrays whose indices are all constants,
+which the compiler keeps in registers, and arrays with few accesses, because the rows of operands
+and results use shared memory too (`kernels`).
 
 `python -m benchmarks.gpu.contact` measures rollouts with contacts.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 from rbjax.compiler.ir import statements as ir
@@ -22,7 +22,7 @@ from rbjax.compiler.ir.c_text import c_type
 ITERATIONS, INNER_ITERATIONS = 6.0, 2.0
 #: the fewest accesses of an entry of an array in shared memory
 LEAST_ACCESSES = 16.0
-#: arrays start at multiples of this number of bytes
+#: each array starts at a multiple of this number of bytes
 ALIGN = 16
 
 
@@ -30,8 +30,8 @@ ALIGN = 16
 class SharedArrays:
     """Arrays in dynamic shared memory.
 
-    places: C text of the pointer to a thread's first entry of each array, by its id.
-    bytes: size of the shared memory of a block.
+    places: id of an array -> C expression of the pointer to the first entry of a thread.
+    bytes: size of all arrays of a block, in bytes.
     """
 
     places: dict[int, str]
@@ -40,27 +40,35 @@ class SharedArrays:
 
 @dataclass
 class _Uses:
-    """The arrays of a program, and by their ids the accesses and whether an index is a variable."""
+    """The uses of the local arrays of a program.
+
+    arrays: the arrays, by their ids.
+    accesses: the loads and stores of each array, estimated.
+    indexed: the ids of the arrays with an index that is a variable.
+    """
 
     arrays: dict[int, ir.Array] = field(default_factory=dict)
-    accesses: Counter[int] = field(default_factory=Counter)
+    accesses: defaultdict[int, float] = field(default_factory=lambda: defaultdict(float))
     indexed: set[int] = field(default_factory=set)
 
 
-def arrays_in_shared_memory(block: ir.Block, threads: int, room: int) -> SharedArrays:
-    """Choose arrays for the shared memory of a block of threads, of `room` bytes."""
+def arrays_in_shared_memory(block: ir.Block, threads: int, available: int) -> SharedArrays:
+    """Choose the arrays of a program that are in shared memory.
+
+    threads: the threads of a block. available: bytes of shared memory for a block.
+    """
     uses, places, end = _Uses(), dict[int, str](), 0
     _count(block, uses, 1.0, ITERATIONS)
 
-    often = {  # accesses of an entry, for each byte of it
+    density = {  # accesses per byte
         key: uses.accesses[key] / a.size / a.dtype.itemsize
         for key, a in uses.arrays.items()
         if key in uses.indexed and uses.accesses[key] >= LEAST_ACCESSES * a.size
     }
-    for key in sorted(often, key=lambda key: -often[key]):
+    for key in sorted(density, key=lambda key: -density[key]):
         a = uses.arrays[key]
         bytes = -(-a.size * a.dtype.itemsize * threads // ALIGN) * ALIGN
-        if end + bytes <= room:
+        if end + bytes <= available:
             places[key] = f"({c_type(a.dtype)}*)(dynamic+{end // ALIGN})+threadIdx.x"
             end += bytes
     return SharedArrays(places, end)
@@ -69,7 +77,7 @@ def arrays_in_shared_memory(block: ir.Block, threads: int, room: int) -> SharedA
 def _count(block: ir.Block, uses: _Uses, times: float, iterations: float) -> None:
     """Add the uses of arrays in a block.
 
-    times: how often the block runs. iterations: of a `while` loop in it.
+    times: how often the block runs. iterations: assumed iterations of a `while` loop in it.
     """
     for s in block.statements:
         match s:

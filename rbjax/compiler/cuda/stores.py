@@ -167,7 +167,7 @@ def assign_tile(
     """
     runs, whole = _runs(program, rows)
     alike, found = _uniform_indices(program), {}
-    spots: dict[int, TileSlot] = {}
+    slots: dict[int, TileSlot] = {}
     for run in runs:
         array, row = run[0].array, rows[run[0].array.id]
         at_once = array.id in whole
@@ -178,8 +178,8 @@ def assign_tile(
         for k, store in enumerate(run):
             at, upto = k % form.width, store.offset + 1
             last = at == form.width - 1 or k == len(run) - 1
-            spots[id(store)] = TileSlot(form.margin + at, store.offset - at, upto, last)
-    return found, spots
+            slots[id(store)] = TileSlot(form.margin + at, store.offset - at, upto, last)
+    return found, slots
 
 
 def written_at_once(program: Written, rows: dict[int, int]) -> set[int]:
@@ -259,16 +259,16 @@ class StorePrinter(Printer):
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, RowTile]],
-        spots: dict[int, TileSlot], streaming: set[int], in_step: set[int],
+        slots: dict[int, TileSlot], streaming: set[int], in_step: set[int],
         shared: dict[int, str],
     ):  # fmt: skip
         super().__init__(names, in_step, shared)
-        self.tiles, self.spots, self.streaming = tiles, spots, streaming
+        self.tiles, self.slots, self.streaming = tiles, slots, streaming
 
     def _lines(self, statement: ir.Statement) -> Iterator[str]:
-        spot = self.spots.get(id(statement))
-        if isinstance(statement, ir.Store) and spot is not None:
-            yield from self._through_tile(statement, spot)
+        slot = self.slots.get(id(statement))
+        if isinstance(statement, ir.Store) and slot is not None:
+            yield from self._through_tile(statement, slot)
         elif isinstance(statement, (ir.Load, ir.Store)) and statement.array.id in self.streaming:
             at = f"&{self.place(statement.array, statement.base, statement.offset)}"
             if isinstance(statement, ir.Store):
@@ -279,15 +279,15 @@ class StorePrinter(Printer):
         else:
             yield from super()._lines(statement)
 
-    def _through_tile(self, store: ir.Store, spot: TileSlot) -> Iterator[str]:
+    def _through_tile(self, store: ir.Store, slot: TileSlot) -> Iterator[str]:
         k, rows = self.tiles[store.array.id]
         kind, pitch = c_type(rows.dtype), rows.pitch
-        yield f"w{k}[LANE*{pitch}+{spot.at}]={self.value(store.value)};"
-        if not spot.last:
+        yield f"w{k}[LANE*{pitch}+{slot.at}]={self.value(store.value)};"
+        if not slot.last:
             return
         to = f"v{k}" if store.base is None else f"v{k}+{self.value(store.base)}"
-        if rows.width == rows.size == spot.upto - spot.first:
+        if rows.width == rows.size == slot.upto - slot.first:
             yield f"store_rows<{kind},{rows.size},{pitch}>({to},w{k},rows);"
         else:
-            sizes = (rows.size, spot.first, spot.upto, rows.align, rows.margin, pitch)
+            sizes = (rows.size, slot.first, slot.upto, rows.align, rows.margin, pitch)
             yield f"flush<{kind},{','.join(map(str, sizes))}>({to},w{k},rows);"

@@ -41,7 +41,7 @@ from rbjax.constraints.equations.model_rows import (
     wrenches_by_link,
 )
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.algorithms.aba import aba, accelerated, eliminated, solve
+from rbjax.dynamics.algorithms.aba import aba, solve, solve_inward, solve_outward
 from rbjax.dynamics.algorithms.factors import Factor
 from rbjax.dynamics.algorithms.rnea import LinkForces, rnea
 from rbjax.dynamics.drivers.choice import Driver, driver
@@ -283,13 +283,14 @@ class DelassusOnLanes(Delassus):
     def solve(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, left = self._d, {}
         if force is not None:
-            left = dict(enumerate(d.whole(d.part(eliminated(d, self._factors, d.lanes(force)), 1))))
+            ys = solve_inward(d, self._factors, d.lanes(force))
+            left = dict(enumerate(d.whole(d.part(ys, 1))))
             c = [sub(x, joint_product(left, e)) for x, e in zip(c, self._e, strict=True)]
         l = self._A.solve(c)
         for own, x in zip(self._u, l, strict=True):
             for i, y in own.items():
                 left[i] = add(left.get(i, 0.0), mul(x, y))
-        a = accelerated(d, d.zip(self._factors, d.scattered(left, 0.0)))
+        a = solve_outward(d, d.zip(self._factors, d.scattered(left, 0.0)))
         return d.pack(a, self._like), pack(l, self._like)
 
 

@@ -19,13 +19,13 @@ import jax.numpy as jnp
 
 from rbjax.contact.problem.problem import Stiff, stacked
 from rbjax.dynamics.algorithms.aba import (
-    accelerated,
-    eliminated,
     factorize,
     solve,
+    solve_inward,
+    solve_outward,
     transforms,
 )
-from rbjax.dynamics.algorithms.factors import named
+from rbjax.dynamics.algorithms.factors import name_link_factors
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.joints.joint import Block
 from rbjax.lanes import Lane, add, mul, unpack
@@ -45,7 +45,7 @@ class Factors(NamedTuple):
 
     def named(self) -> Factors:
         """Name the factors, so that derivatives save them."""
-        return self._replace(factors=named(self.factors))
+        return self._replace(factors=name_link_factors(self.factors))
 
 
 class ArticulatedTree(NamedTuple):
@@ -124,6 +124,6 @@ class ArticulatedTree(NamedTuple):
         """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`
         does."""
         d = self.d
-        left = eliminated(d, found.factors, d.lanes(b))
-        x, twists = d.unzip(accelerated(d, left, twists=True), 2)
+        left = solve_inward(d, found.factors, d.lanes(b))
+        x, twists = d.unzip(solve_outward(d, left, twists=True), 2)
         return d.pack(x, b), self._of_touching(twists, dtype)

@@ -15,12 +15,12 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
 
     da = M^-1 (dtau - dID(q, v, a)),
 
-one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). The
-reverse derivative of RNEA of a tree with flexible links is the gradient of a power
-(virtual_power.py), and that of the solution is the solution itself, because M is symmetric. If a
-flexible link carries links, the gradient takes their accelerations from ABA, and their virtual
-twists from the solution as the cotangents of bias forces p, which are zero. On a GPU it reads the
-acceleration and the factors of the forward pass.
+one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). With
+flexible links, the reverse derivative of RNEA is the gradient of a virtual power (virtual_power.py)
+and that of the solution is a solution with the same factors, because M is symmetric. If a flexible
+link carries links, the gradient needs their accelerations, from ABA, and their virtual twists: the
+reverse solution has them as cotangents of bias forces p, which are zero. On a GPU the reverse
+derivative reads the acceleration and the factors of the forward pass.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from rbjax.dynamics.algorithms.factors import (
     add_columns,
     columns_of_frame,
     eliminate_coordinate,
-    named,
+    name_link_factors,
 )
 from rbjax.dynamics.algorithms.kinematics import velocity_bias
 from rbjax.dynamics.algorithms.rnea import (
@@ -211,9 +211,8 @@ def factorize(
 
     extra: lane to add to the diagonal, per link; None for zero.
     inertia: `ArticulatedInertia` to add to each link, in its axes, per link; None for zero.
-
-    poses: `transforms` of the links. A derivative that saves U and 1 / D then computes the other
-        parts of the factors without them.
+    poses: `transforms` of the links; None to compute them here. With them, a derivative that saves
+        U and 1 / D need not repeat the sweep for the other parts of the factors.
     """
 
     def inward(x, children):
@@ -235,19 +234,19 @@ def factorize(
     return d.inward(inward, (zero, ()), d.zip(d.constants, joints, extra, inertia, *known))
 
 
-def solve(d: Driver, factors: Any, tau: Any, again: Any = None, p: Any = None) -> Any:
+def solve(d: Driver, factors: Any, tau: Any, outward: Any = None, p: Any = None) -> Any:
     """Compute M^-1 (tau - sum of J_i^T p_i) from the factors: ABA without velocities and gravity.
 
-    again: an optional second copy of the factors for the outward sweep, to save registers.
+    outward: an optional second copy of the factors for the outward sweep, to save registers.
     p: lanes of the bias forces (6), in the axes of the links, per link; None for zero.
     """
-    ys = eliminated(d, factors, tau, p)
-    if again is not None:
-        ys = d.zip(again, d.part(ys, 1))
-    return accelerated(d, ys)
+    ys = solve_inward(d, factors, tau, p)
+    if outward is not None:
+        ys = d.zip(outward, d.part(ys, 1))
+    return solve_outward(d, ys)
 
 
-def eliminated(d: Driver, factors: Any, tau: Any, p: Any = None) -> Any:
+def solve_inward(d: Driver, factors: Any, tau: Any, p: Any = None) -> Any:
     """Run the inward sweep of `solve`. Return (factor, u) per link.
 
     u is the joint force that remains after the elimination of the subtree of the link.
@@ -263,7 +262,7 @@ def eliminated(d: Driver, factors: Any, tau: Any, p: Any = None) -> Any:
     return d.inward(inward, NO_FORCE, d.zip(factors, tau, *(() if p is None else (p,))))
 
 
-def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
+def solve_outward(d: Driver, ys: Any, *, twists: bool = False) -> Any:
     """Run the outward sweep of `solve`: joint accelerations from (factor, u) per link.
     twists: whether to return the spatial accelerations of the links too, in their own axes."""
 
@@ -272,7 +271,7 @@ def accelerated(d: Driver, left: Any, *, twists: bool = False) -> Any:
         a, qdd, block = factor.outward(u, factor.X(parent[0]), parent[1])
         return (a, block), (qdd, a) if twists else qdd
 
-    return d.outward(outward, (Motion.zero(), ()), left)
+    return d.outward(outward, (Motion.zero(), ()), ys)
 
 
 def symmetric_solve(d: Driver, factors: Any, tau: jax.Array, *p: jax.Array) -> list[jax.Array]:
@@ -284,24 +283,25 @@ def symmetric_solve(d: Driver, factors: Any, tau: jax.Array, *p: jax.Array) -> l
     """
 
     def both(tau: jax.Array, *p: jax.Array) -> list[jax.Array]:
-        ys = eliminated(d, factors, d.lanes(tau), *(motions_of(d, x) for x in p))
-        a, twists = d.unzip(accelerated(d, ys, twists=True), 2)
+        ys = solve_inward(d, factors, d.lanes(tau), *(motions_of(d, x) for x in p))
+        a, twists = d.unzip(solve_outward(d, ys, twists=True), 2)
         return [d.pack(a, tau), *(rows_of_motions(d, twists, tau) for _ in p)]
 
-    plain, held = trace(both, (tau, *p))
-    n = len(held)
+    plain, closed_over = trace(both, (tau, *p))
+    n = len(closed_over)
 
     def vjp(moving: tuple[bool, ...], args: Any, _: Any, bars: Any) -> list[jax.Array]:
         pairs = zip(bars, plain.outputs, strict=True)
         w, *z = (jnp.zeros(y.shape, y.dtype) if x is None else x for x, y in pairs)
-        if any(moving[:n]):  # the factors move, in a second derivative
+        if any(moving[:n]):  # by the factors, in a second derivative
             has_cotangent = (True,) * len(bars)
             return run(plain.transposed(moving, has_cotangent), [*args, w, *z])
+        # by tau: M^-1 (w + sum of J_i^T z_i), by p_i: -J_i times this
         a, *twists = run(program, [*args[:n], w, *(-x for x in z)])
         return list(itertools.compress([a, *(-x for x in twists)], moving[n:]))
 
     program = replace(plain, vjp=vjp)
-    return run(program, [*held, tau, *p])
+    return run(program, [*closed_over, tau, *p])
 
 
 def saves_factors(model: Model, *args: Any, **others: Any) -> bool:
@@ -338,7 +338,7 @@ def acceleration(
         d = driver(model, q.dtype)
         joints, forces = d.joints(q, v), d.lanes(tau)
         qdd, factors, *links = aba(d, joints, forces, d.prepared.gravity, f_ext, twists=in_series)
-        a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), named(factors)
+        a, factors = checkpoint_name(d.pack(qdd, tau), "acceleration"), name_link_factors(factors)
         rows = [checkpoint_name(rows_of_motions(d, x, tau), "acceleration") for x in links]
 
         if not top.frames:

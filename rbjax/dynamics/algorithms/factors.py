@@ -50,13 +50,21 @@ class Factor(NamedTuple):
     def inward(
         self, tau: Lane, p_A: Force, block: Block, inertial: Force
     ) -> tuple[Lane, Force, Block]:
-        """Compute u, the force p_a = p_A + inertial + U u / D on the parent, and the generalized
-        forces of the coordinates of a flexible link that remain. `inertial` is I_a c."""
+        """Compute u, the force p_a = p_A + inertial + U u / D on the parent, and the block for the
+        parent.
+
+        block: generalized forces of the coordinates of a flexible link that are not eliminated.
+        inertial: I_a c.
+        """
         u = sub(tau, self.S.dot(p_A))
         return u, p_A + inertial + self.U * mul(u, self.inverse_D), ()
 
     def outward(self, u: Lane, a: Motion, block: Block) -> tuple[Motion, Lane, Block]:
-        """Compute the acceleration of the link and qdd. a is the link's acceleration at qdd = 0."""
+        """Compute the acceleration of the link, qdd, and the block for the children.
+
+        a: acceleration of the link at qdd = 0.
+        block: accelerations of the coordinates of a flexible link up to this dof.
+        """
         qdd = mul(sub(u, self.U.dot(a)), self.inverse_D)
         return a + self.S * qdd, qdd, ()
 
@@ -172,9 +180,9 @@ def name_factors(values: Any) -> Any:
     return jax.tree.map(name, values)
 
 
-def named(factors: Any) -> Any:
-    """Name U and 1 / D of the factors of all links, and the rows of coordinates
-    (`name_factors`)."""
+def name_link_factors(factors: Any) -> Any:
+    """Name U and 1 / D of the factors of all links, and the rows of coordinates, by
+    `name_factors`."""
 
     def one(f: AnyFactor) -> AnyFactor:
         if isinstance(f, FrameFactor):

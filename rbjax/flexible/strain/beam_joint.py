@@ -4,8 +4,9 @@
 
 The base frame is at s = 0 and x is along the beam. k_x is torsion, k_y and k_z bending, e_x axial
 strain, g_y and g_z shear. A strain that is absent is zero: without shear the beam is a Kirchhoff
-rod, and without e_x it is inextensible. xi_0 has natural curvature and twist. T is constant: 1 if
-the coordinates are the Legendre coefficients, otherwise the basis of fewer coordinates.
+rod, and without e_x it is inextensible. xi_0 has natural curvature and twist. T_j are the rows of a
+constant matrix T for the coefficients of degree j. T is the identity if the coordinates are the
+Legendre coefficients, otherwise a reduced basis.
 
 (Boyer, Lebastard, Candelier & Renda, *Dynamics of continuum and soft robots: a strain
 parameterization based approach*, IEEE T-RO 37(3), 2021. Here rotations and positions are integrated
