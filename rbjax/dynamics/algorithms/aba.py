@@ -306,7 +306,7 @@ def symmetric_solve(d: Driver, factors: Any, tau: jax.Array, *p: jax.Array) -> l
 
 def saves_factors(model: Model, *args: Any, **others: Any) -> bool:
     """Return whether a reverse derivative saves the acceleration and the factors: on a GPU, for a
-    tree with flexible links. One kernel for all of it exceeds the instruction cache of 128 KiB."""
+    tree with flexible links. One kernel for both passes exceeds the 128 KiB instruction cache."""
     return bool(model.topology.frames) and has_gpu()
 
 

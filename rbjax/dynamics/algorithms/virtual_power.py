@@ -8,9 +8,10 @@ which one outward sweep computes. The vector-Jacobian product of inverse dynamic
 (dID/dx)^T l = dP/dx. A flexible link then needs its motion along l, v and a, but not the axes of
 each of its frames for each of its coordinates (Jourdain's principle of virtual power).
 
-In a chain of slender beams the linear motion of a link is a small difference of large terms w' x r,
-to which the rates of ABA fit only with the rounding errors of ABA. The gradient therefore takes the
-motions of the links from ABA, if it has them. In float32 it is then as accurate as the rates.
+In a chain of slender beams the linear motion of a link is a small difference of large terms w' x r.
+A sweep from the joint accelerations of ABA has other rounding errors in it than ABA. The gradient
+therefore uses the motions of the links from ABA, if they are given. In float32 it is then as
+accurate as the joint accelerations.
 """
 
 from __future__ import annotations
@@ -56,9 +57,10 @@ def virtual_power(
 ) -> Lane:
     """Compute the virtual power of the forces of `rnea`.
 
-    joints: `d.joints(q, v, a, l)`. accelerations, rates: of joints, and virtual, per link.
-    known: `motions_of` the accelerations and of the virtual twists. They replace the values of the
-        sweep, but not its derivatives.
+    joints: `d.joints(q, v, a, l)`.
+    accelerations, rates: joint accelerations a and virtual rates l, per link.
+    known: `motions_of` of the accelerations and of the virtual twists of the links. They replace
+        the values of the sweep, but not its derivatives.
     """
 
     def outward(x: Any, parent: VirtualStep) -> tuple[VirtualStep, Lane]:
@@ -69,7 +71,7 @@ def virtual_power(
         turn, rates = joint.virtual(rate, parent.rates)
         a, V = X(parent.a) + bias + relative, X(parent.V) + turn
         if known:
-            a, V = replaced(a, known[0]), replaced(V, known[1])
+            a, V = with_derivatives_of(a, known[0]), with_derivatives_of(V, known[1])
         inertia = joint.inertia(link)
         f = inertia(a) + inertia.bias_force(w) - f_ext
         power = add(V.dot(f), mul(link.armature, mul(qdd, rate)))
@@ -107,9 +109,11 @@ def rows_of_motions(d: Driver, motions: Any, like: jax.Array) -> jax.Array:
     return jnp.stack([d.pack(x, like, links) for x in d.unzip(lanes, 6)])
 
 
-def replaced(own: Motion, known: Any) -> Motion:
-    """Return the lanes of `known` with the derivatives of `own`. Lanes stay that are constants, or
-    that `known` has not."""
+def with_derivatives_of(own: Motion, known: Any) -> Motion:
+    """Return the values of `known` with the derivatives of `own`.
+
+    A lane that is a literal in either keeps the value of `own`.
+    """
 
     def lane(x: Lane, y: Lane) -> Lane:
         return x if is_literal(x) or is_literal(y) else _with_derivative_of(x, y)
