@@ -187,6 +187,43 @@ def test_what_all_lanes_share_is_scalar():
     agree(got, want)
 
 
+def test_counters_of_loops_are_scalar():
+    """Each lane runs its own number of turns. A counter that is read after its loop, or that goes
+    on in the next turn of an outer loop, differs between lanes."""
+
+    def own(x, n):  # n turns, of which the last ones are those of few lanes
+        return lax.fori_loop(0, n, lambda k, c: c.at[k].add(x * k), jnp.zeros(9)), 0.0
+
+    def nested(x, n):  # the inner loop begins anew in each turn
+        def turn(k, c):
+            inner = lambda j, c: c.at[j].add(x + k)  # noqa: E731
+            return lax.fori_loop(0, (n + k) % 5, inner, c)
+
+        return lax.fori_loop(0, n, turn, jnp.zeros(9)), 0.0
+
+    def read(x, n):
+        goes, turn = lambda c: c[0] < n, lambda c: (c[0] + 2, c[1].at[c[0]].add(x))
+        k, c = lax.while_loop(goes, turn, (0, jnp.zeros(9)))
+        return c, k * x
+
+    def goes_on(x, n):  # an inner loop that adds to a counter of the outer one
+        def turn(k, c):
+            goes = lambda c: (c[0] < n) & (c[0] < 3 * k)  # noqa: E731
+            return lax.while_loop(goes, lambda c: (c[0] + 1, c[1].at[c[0]].add(x * k)), c)
+
+        return lax.fori_loop(0, n, turn, (0, jnp.zeros(9)))[1], 0.0
+
+    n = np.array([0, 3, 8, 1, 5, 8, 2])
+    x = np.random.default_rng(0).normal(size=len(n))
+    for f, scalars in ((own, 1), (nested, 2), (read, 0), (goes_on, 1)):
+        program, _, _ = written(f, x, n)
+        found = find_divergence(program.builder.block, [*program.operands, *program.results])
+        assert len(found.counters) == scalars and not found.counters & found.different
+        for lanes in (4, 8):
+            (got,), want = by_vectors([(f, (x, n))], lanes), jax.jit(jax.vmap(f))(x, n)
+            agree(got, want)
+
+
 def test_lanes_part_and_meet():
     """Loops and branches whose conditions differ, nested, with arrays that outlive them."""
 

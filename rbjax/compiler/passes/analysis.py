@@ -3,14 +3,17 @@
 A value that depends only on loop counters, constants and shared operands is the same in every
 lane, so it stays scalar. If a condition differs between lanes, the lanes diverge, and a block runs
 for some of them. A variable that is declared outside a divergent block and assigned inside it
-differs between lanes.
+differs between lanes. The exception is the counter of a `while` loop: lanes that still run have run
+the same turns.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from rbjax.compiler.ir import statements as ir
 
@@ -45,10 +48,12 @@ class LaneDivergence:
     """The ids of variables and arrays that differ between lanes.
 
     home: for each id, the divergent region in which the variable or array is declared.
+    counters: the ids of counters of `while` loops (`_counters`).
     """
 
     different: set[int] = field(default_factory=set)
     home: dict[int, int] = field(default_factory=dict)
+    counters: set[int] = field(default_factory=set)
 
     def of(self, x: ir.Value | ir.Array | None) -> bool:
         """Return whether a value, or the content of an array, differs between lanes."""
@@ -61,7 +66,7 @@ class LaneDivergence:
 
 def find_divergence(block: ir.Block, different: Iterable[ir.Array]) -> LaneDivergence:
     """Find the values that differ between lanes if the content of these arrays does."""
-    found = LaneDivergence({a.id for a in different})
+    found = LaneDivergence({a.id for a in different}, counters=_counters(block))
     size = -1
     while size != len(found.different):  # a later iteration may change an earlier statement
         size = len(found.different)
@@ -82,7 +87,9 @@ def _visit(block: ir.Block, part: int, found: LaneDivergence) -> None:
             case ir.Declare(var=declared) | ir.Reserve(array=declared):
                 found.home[declared.id] = part
             case ir.Store(array=changed) | ir.Assign(var=changed):
-                differs = differs or found.is_declared_outside(changed, part)
+                differs |= found.is_declared_outside(changed, part) and (
+                    changed.id not in found.counters
+                )
         if differs:
             different.update([x.id for x in s.writes()])
         for inner in () if s.is_leaf else s.children():
@@ -90,6 +97,49 @@ def _visit(block: ir.Block, part: int, found: LaneDivergence) -> None:
             if isinstance(s, ir.While | ir.If):
                 among = region_of(inner, s.condition, part, found)
             _visit(inner, among, found)
+
+
+def _counters(block: ir.Block) -> set[int]:
+    """Return the ids of the counters of `while` loops: variables that are declared before the loop,
+    that each turn increases by a number, and that nothing else changes or reads."""
+    found, changes, reads = set[int](), Counter[int](), _reads(block)
+    changes.update(s.var.id for s in ir.walk(block) if isinstance(s, ir.Assign))
+    for outer in _blocks(block):
+        begun = {
+            s.var for s in outer.statements if isinstance(s, ir.Declare) and s.value is not None
+        }
+        for loop in outer.statements:
+            if isinstance(loop, ir.While):
+                own = _reads(ir.Block([loop]))
+                found |= {
+                    x.id
+                    for x in _increased(loop.body)
+                    if x in begun and changes[x.id] == 1 and own[x.id] == reads[x.id]
+                }
+    return found
+
+
+def _increased(block: ir.Block) -> set[ir.Var]:
+    """Return the variables to which a block itself adds a number."""
+    sums = {
+        s.dest: s.args[0]
+        for s in block.statements
+        if isinstance(s, ir.Op) and s.name == "add" and isinstance(s.args[1], np.generic)
+    }
+    changed = (s for s in block.statements if isinstance(s, ir.Assign))
+    return {s.var for s in changed if isinstance(s.value, ir.Var) and sums.get(s.value) is s.var}
+
+
+def _reads(block: ir.Block) -> Counter[int]:
+    return Counter(x.id for s in ir.walk(block) for x in s.reads())
+
+
+def _blocks(block: ir.Block) -> Iterator[ir.Block]:
+    """Yield a block and all blocks in it."""
+    yield block
+    for s in block.statements:
+        for inner in s.children():
+            yield from _blocks(inner)
 
 
 def region_of(block: ir.Block, condition: ir.Value, part: int, found: LaneDivergence) -> int:
