@@ -3,6 +3,7 @@
     python -m benchmarks.cpu.contact [humanoid humanoid_feet FILE.xml ...]
 
 Both start at the same state and take the same controls. MuJoCo runs with its default tolerance.
+"batch_us" is the time for a robot of 64, each with its own state and controls.
 """
 
 import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
@@ -22,7 +23,7 @@ import rbjax as rb
 from benchmarks.cases.standing import on_floor, random_controls, settled
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
 
-STEPS = 200
+STEPS, BATCH = 200, 64
 
 
 def row_of(name: str) -> dict[str, Any]:
@@ -46,6 +47,17 @@ def row_of(name: str) -> dict[str, Any]:
         row[f"{kind}_compile_s"] = time.perf_counter() - start
         ns = fastest_ns(lambda run=run, x=(state, u): jax.block_until_ready(run(*x)), STEPS, 9)
         row[f"{kind}_us"] = ns / 1e3
+    many = [*settled(m, BATCH), random_controls(m, np.random.default_rng(1), BATCH)]
+
+    def ends(q: Any, v: Any, u: Any) -> Any:
+        u = jnp.broadcast_to(u[:, None], (BATCH, STEPS, m.nu)) if m.nu else None
+        return rb.rollout(
+            models["contact"], rb.State(q, v), u, m.opt.timestep, steps=STEPS, save_every=STEPS
+        ).q
+
+    run = jax.jit(ends)
+    ns = fastest_ns(lambda: jax.block_until_ready(run(*many)), STEPS * BATCH, 9)
+    row["batch_us"] = ns / 1e3
     data = mujoco.MjData(m)
 
     def steps() -> None:

@@ -155,6 +155,7 @@ TABLES = {
             C("contact_us", "a step, us"),
             C("mj_step_us", "mj_step, us"),
             C("over_mujoco", "over mj_step"),
+            C("batch_us", "in a batch of 64, us"),
             C("free_us", "without contacts, us"),
             C("contacts at the end"),
             C("contact_compile_s", "compiling, s"),
