@@ -217,8 +217,11 @@ def fold_if_constant(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
     return x
 
 
-def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
-    """Return a view of x in memory: a table of constants, or a local copy of registers."""
+def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike, keep: bool = False) -> View:
+    """Return a view of x in memory: a table of constants, or a local copy of registers.
+
+    keep: whether the memory is never changed, so that equal arrays are stored once.
+    """
     if isinstance(x, View):
         return x
     if isinstance(x, Delayed):
@@ -226,15 +229,15 @@ def to_memory(b: Builder, x: ThreadArray, dtype: DTypeLike) -> View:
     x = fold_if_constant(x, dtype)
     if is_constant(x):
         return View.of(b.table(np.ascontiguousarray(x)), x.shape)
-    if b.in_team:
-        return _share_in_memory(b, x, dtype)
+    if keep or b.in_team:
+        return _keep_in_memory(b, x, dtype)
     view = View.of(b.local(dtype, x.size), x.shape)
     write_to(b, view, x)
     return view
 
 
-def _share_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
-    """Store values in a team's shared memory, at a place that is never changed afterwards.
+def _keep_in_memory(b: Builder, x: np.ndarray, dtype: DTypeLike) -> View:
+    """Store values in memory, at a place that is never changed afterwards.
 
     Equal arrays are stored once. Axes along which values repeat are stored once, by a stride of 0.
     """

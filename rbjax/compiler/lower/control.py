@@ -21,6 +21,7 @@ from rbjax.compiler.lower import arrays
 from rbjax.compiler.lower.arrays import ThreadArray, View
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.gather import COMBINE
+from rbjax.compiler.lower.indexing import SELECT_UP_TO
 from rbjax.compiler.lower.lowering import (
     Atom,
     Aval,
@@ -182,7 +183,7 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     unknown = [not arrays.is_constant(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
     consts = [
-        arrays.to_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
+        arrays.to_memory(b, x, dtype_of(a), keep=True) if k in wanted else x
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
     xs = [arrays.to_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
@@ -259,13 +260,15 @@ def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     nc, nb = P["cond_nconsts"], P["body_nconsts"]
     test_consts, body_consts, init = ins[:nc], ins[nc : nc + nb], ins[nc + nb :]
     test, body = P["cond_jaxpr"], P["body_jaxpr"]
-    n = len(init)
-    memory = {
-        k - len(consts)
-        for closed, consts in ((test, test_consts), (body, body_consts))
-        for k in indexed(closed, [not arrays.is_constant(x) for x in consts] + [True] * n)
-        if k >= len(consts)
-    }
+    memory = set[int]()
+    for closed, consts in ((test, test_consts), (body, body_consts)):
+        unknown = [not arrays.is_constant(x) for x in consts] + [True] * len(init)
+        for k in indexed(closed, unknown):
+            if k >= len(consts):
+                memory.add(k - len(consts))
+            elif not isinstance(consts[k], Delayed) and consts[k].size > SELECT_UP_TO:
+                dtype = dtype_of(closed.in_avals[k])  # stored here, not in each iteration
+                consts[k] = arrays.to_memory(b, consts[k], dtype, keep=True)
     with low.pinned([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
     loop = ir.While(ir.Block(), np.bool_(False), ir.Block())
