@@ -103,8 +103,8 @@ def plan(
             body shape, so give it if the body extends beyond the wheels.
         drive: "car"; "differential", which turns on the spot; "omnidirectional". None for the drive
             that the wheels of the robot allow, or for "car" with a `Footprint`.
-        radius: the smallest turning radius of a car, m. None for that of the robot at the angle
-            `steering`, and for other drives.
+        radius: the smallest turning radius of a car, m. None for the radius of the robot at the
+            angle `steering`, and for other drives.
         steering: the largest steering angle of the robot, rad.
         backwards: whether the robot may drive backwards.
         controls: for the search; None for controls that fit drive, radius and map.

@@ -12,14 +12,14 @@ and results use shared memory too (`kernels`).
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.passes.analysis import count_accesses
 
 #: assumed iterations of a `while` loop, and of a `while` loop in its body
-ITERATIONS, INNER_ITERATIONS = 6.0, 2.0
+ITERATIONS = 6, 2
 #: the fewest accesses of an entry of an array in shared memory
 LEAST_ACCESSES = 16.0
 #: each array starts at a multiple of this number of bytes
@@ -38,60 +38,28 @@ class SharedArrays:
     bytes: int
 
 
-@dataclass
-class _Uses:
-    """The uses of the local arrays of a program.
-
-    arrays: the arrays, by their ids.
-    accesses: the loads and stores of each array, estimated.
-    indexed: the ids of the arrays with an index that is a variable.
-    """
-
-    arrays: dict[int, ir.Array] = field(default_factory=dict)
-    accesses: defaultdict[int, float] = field(default_factory=lambda: defaultdict(float))
-    indexed: set[int] = field(default_factory=set)
-
-
 def arrays_in_shared_memory(block: ir.Block, threads: int, available: int) -> SharedArrays:
     """Choose the arrays of a program that are in shared memory.
 
     threads: the threads of a block. available: bytes of shared memory for a block.
     """
-    uses, places, end = _Uses(), dict[int, str](), 0
-    _count(block, uses, 1.0, ITERATIONS)
-
-    density = {  # accesses per byte
-        key: uses.accesses[key] / a.size / a.dtype.itemsize
-        for key, a in uses.arrays.items()
-        if key in uses.indexed and uses.accesses[key] >= LEAST_ACCESSES * a.size
+    statements, accesses = list(ir.walk(block)), count_accesses(block, ITERATIONS)
+    arrays = {s.array.id: s.array for s in statements if isinstance(s, ir.Reserve)}
+    indexed = {
+        s.array.id
+        for s in statements
+        if isinstance(s, ir.Load | ir.Store) and isinstance(s.base, ir.Var)
     }
+    density = {  # accesses per byte
+        key: accesses[key] / a.size / a.dtype.itemsize
+        for key, a in arrays.items()
+        if key in indexed and accesses[key] >= LEAST_ACCESSES * a.size
+    }
+    places, end = dict[int, str](), 0
     for key in sorted(density, key=lambda key: -density[key]):
-        a = uses.arrays[key]
+        a = arrays[key]
         bytes = -(-a.size * a.dtype.itemsize * threads // ALIGN) * ALIGN
         if end + bytes <= available:
             places[key] = f"({c_type(a.dtype)}*)(dynamic+{end // ALIGN})+threadIdx.x"
             end += bytes
     return SharedArrays(places, end)
-
-
-def _count(block: ir.Block, uses: _Uses, times: float, iterations: float) -> None:
-    """Add the uses of arrays in a block.
-
-    times: how often the block runs. iterations: assumed iterations of a `while` loop in it.
-    """
-    for s in block.statements:
-        match s:
-            case ir.Reserve(array=array) if array.size:
-                uses.arrays[array.id] = array
-            case ir.Load(array=array, base=base) | ir.Store(array=array, base=base):
-                uses.accesses[array.id] += times
-                if isinstance(base, ir.Var):
-                    uses.indexed.add(array.id)
-            case ir.Loop(count=count, body=body):
-                _count(body, uses, times * count, iterations)
-            case ir.While():
-                for inner in s.children():
-                    _count(inner, uses, times * iterations, INNER_ITERATIONS)
-            case _:
-                for inner in s.children():
-                    _count(inner, uses, times, iterations)

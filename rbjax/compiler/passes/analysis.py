@@ -10,7 +10,7 @@ the same turns.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,14 +28,20 @@ def count_operations(block: ir.Block, turns: int = 1) -> int:
     return total
 
 
-def count_accesses(block: ir.Block) -> Counter[int]:
-    """Count the reads and writes of each array, by its id, with one iteration of a `while` loop."""
+def count_accesses(block: ir.Block, turns: Sequence[int] = (1,)) -> Counter[int]:
+    """Count the reads and writes of each array, by its id.
+
+    turns: the iterations of a `while` loop, of one inside it, and so on; the last ones for all
+        further loops.
+    """
     total: Counter[int] = Counter()
     for s in block.statements:
         if isinstance(s, ir.Load | ir.Store):
             total[s.array.id] += 1
+        further = turns[1:] or turns if isinstance(s, ir.While) else turns
         for inner in s.children():
-            total.update({k: _iterations(s) * n for k, n in count_accesses(inner).items()})
+            found = count_accesses(inner, further)
+            total.update({k: _iterations(s, turns[0]) * n for k, n in found.items()})
     return total
 
 
@@ -104,7 +110,7 @@ def _counters(block: ir.Block) -> set[int]:
     that each turn increases by a number, and that nothing else changes or reads."""
     found, changes, reads = set[int](), Counter[int](), _reads(block)
     changes.update(s.var.id for s in ir.walk(block) if isinstance(s, ir.Assign))
-    for outer in _blocks(block):
+    for outer in (block, *(inner for s in ir.walk(block) for inner in s.children())):
         begun = {
             s.var for s in outer.statements if isinstance(s, ir.Declare) and s.value is not None
         }
@@ -132,14 +138,6 @@ def _increased(block: ir.Block) -> set[ir.Var]:
 
 def _reads(block: ir.Block) -> Counter[int]:
     return Counter(x.id for s in ir.walk(block) for x in s.reads())
-
-
-def _blocks(block: ir.Block) -> Iterator[ir.Block]:
-    """Yield a block and all blocks in it."""
-    yield block
-    for s in block.statements:
-        for inner in s.children():
-            yield from _blocks(inner)
 
 
 def region_of(block: ir.Block, condition: ir.Value, part: int, found: LaneDivergence) -> int:

@@ -16,8 +16,8 @@ The derivative does not differentiate ABA. With a = FD(q, v, tau), ID(q, v, a) =
     da = M^-1 (dtau - dID(q, v, a)),
 
 one tangent of RNEA and one solution with the factors of ABA (Carpentier & Mansard 2018). With
-flexible links, the reverse derivative of RNEA is the gradient of a virtual power (virtual_power.py)
-and that of the solution is a solution with the same factors, because M is symmetric. If a flexible
+flexible links, the reverse derivative of RNEA is the gradient of a virtual power (virtual_power),
+and the reverse solution has the same factors, because M is symmetric. If a flexible
 link carries links, the gradient needs their accelerations, from ABA, and their virtual twists: the
 reverse solution has them as cotangents of bias forces p, which are zero. On a GPU the reverse
 derivative reads the acceleration and the factors of the forward pass.

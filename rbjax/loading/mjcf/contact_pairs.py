@@ -12,8 +12,8 @@ from rbjax.contact.geometry.pair_filter import Collider, in_order, may_touch
 def contact_pairs(m: mujoco.MjModel) -> tuple[tuple[int, int], ...]:
     """Return the pairs of geoms that may collide, the geom of the earlier type first.
 
-    The pairs of `<pair>` come first, as often as the file gives them. The others are those that
-    `may_touch`.
+    The pairs of `<pair>` come first, as often as the file gives them. The others are the pairs
+    for which `may_touch` is true.
     """
     if m.opt.disableflags & (_Off.mjDSBL_CONTACT | _Off.mjDSBL_CONSTRAINT):
         return ()

@@ -83,7 +83,7 @@ class Footprint(Record):
     def around_wheels(cls, robot: Robot) -> Footprint:
         """Cover the rectangle around the wheels of a robot without trailers.
 
-        Each wheel has the room of a circle of its radius; that of a caster turns about its pivot.
+        Each wheel takes a circle of its radius. A caster takes the circle in which it turns.
 
         Example:
             >>> import rbjax as rb
