@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.problem import Stiff, stacked
 from rbjax.dynamics.algorithms.aba import (
     factorize,
@@ -28,7 +29,7 @@ from rbjax.dynamics.algorithms.aba import (
 from rbjax.dynamics.algorithms.factors import name_link_factors
 from rbjax.dynamics.drivers.contract import Driver
 from rbjax.joints.joint import Block
-from rbjax.lanes import Lane, add, mul, unpack
+from rbjax.lanes import Lane, add, is_literal, mul, unpack
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 
@@ -103,27 +104,40 @@ class ArticulatedTree(NamedTuple):
         like = jnp.zeros(d.topology.nv, wrenches.dtype)
         return unpack(d.pack(d.inward(inward, (zero, ()), xs), like))
 
-    def factorize(self, stiffness: jax.Array, rows: Sequence[Stiff]) -> Factors:
+    def factorize(self, stiffness: LinkStiffness, rows: Sequence[Stiff]) -> Factors:
         """Factorize the Hessian of the contact problem, without contacts between two links.
 
-        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each link with the world
-            (`Row.stiffness`).
+        stiffness: of the contacts of each link with the world.
         rows: of the rows with one force; each row acts on one dof.
         """
-        d, zero = self.d, ArticulatedInertia.zero()
-        pairs = enumerate(self.link_pairs)
-        K = {i: ArticulatedInertia.from_lanes(unpack(stiffness[k])) for k, (_, i) in pairs}
+        d = self.d
+        place = {i: float(k) for k, (_, i) in enumerate(self.link_pairs)}
         extra: dict[int, Lane] = {}
         for J, h in rows:
             for i, x in J.items():
                 extra[i] = add(extra.get(i, 0.0), mul(h, mul(x, x)))
-        given = d.scattered(extra, 0.0), d.scattered(K, zero)
+
+        def inertia(k: Lane) -> ArticulatedInertia:
+            """Return the stiffness of the link with the index k, or zero if k is -1."""
+            if is_literal(k):
+                return stiffness.at(int(k)) if k >= 0 else ArticulatedInertia.zero()
+            return stiffness.at(jnp.asarray(k).astype(jnp.int32))
+
+        given = d.scattered(extra, 0.0), (d.scattered(place, -1.0), inertia)
         return Factors(d, factorize(d, self.joints, *given, self.poses))
 
-    def step(self, found: Factors, b: jax.Array, dtype: Any) -> tuple[jax.Array, jax.Array]:
+    def step(
+        self, found: Factors, b: jax.Array, dtype: Any, wrenches: jax.Array | None = None
+    ) -> tuple[jax.Array, jax.Array]:
         """Solve as `Factors.solve`. Return x (nv,) and the link twists (n + 1, 6) at x, as `twists`
-        does."""
-        d = self.d
-        left = solve_inward(d, found.factors, d.lanes(b))
+        does.
+
+        wrenches: (n + 1, 6) on the links that can touch, whose joint forces add to b.
+        """
+        d, bias = self.d, None
+        if wrenches is not None:
+            given = {i: -Force.from_lanes(unpack(wrenches[k])) for k, i in enumerate(self.touching)}
+            bias = d.scattered(given, Force.zero())
+        left = solve_inward(d, found.factors, d.lanes(b), bias)
         x, twists = d.unzip(solve_outward(d, left, twists=True), 2)
         return d.pack(x, b), self._of_touching(twists, dtype)

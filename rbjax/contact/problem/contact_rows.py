@@ -4,8 +4,8 @@ A loop over the pairs of geoms runs the narrow phase and stores the active conta
 slots. The rows, and all further loops, are of the active contacts, so their cost follows the number
 of contacts and not of candidates. There is a slot for each candidate, so no contact is lost.
 
-Rows are in world axes about one origin o near the robot. With b_k = [(p - o) x e_k; e_k] for the
-axes e_k of a contact at p, and the twists V of its two links about o,
+Rows are in world axes about one origin o near the robot, or in the axes of the links. With the unit
+motions b_k of the rows (`ContactAxes`), and the twists V of the two links,
 
     J v = b_k . (V_2 - V_1),    J^T f: the wrench sum of b_k f_k on link 2, its opposite on link 1
 """
@@ -25,12 +25,14 @@ from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.contact.parameters import tangential_solref
 from rbjax.contact.problem.cones import Cone
+from rbjax.contact.problem.contact_axes import ContactAxes
+from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.world import World, shape_of
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.contact.rows.options import Options
 from rbjax.forces.impedance import impedance, reference, regularisation
-from rbjax.lanes import Lane, Mat3, Vec3, mul, pack, sub, total, unpack
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.lanes import Lane, Mat3, Vec3, pack, sub, unpack
+from rbjax.spatial import Motion
 
 
 class Row(NamedTuple):
@@ -38,52 +40,25 @@ class Row(NamedTuple):
 
     Fields:
         pair: index of its pair of geoms.
-        axes: b_k = [(p - o) x e_k; e_k] of each row, for the axis e_k of the contact at p, about o.
+        axes: point and axes of the contact, about o.
         D: inverse regularization of the normal row, 0 if the contact is not active.
         reference: reference acceleration of each row.
         contact: the contact about the origin.
         candidate: index of the candidate in its set.
-        first_axes: the axes b_k in the axes of the first link, if the axes of the two links differ.
+        first_axes: the same for the first link, if the axes of the two links differ.
         bristle: displacement of each friction row, if they have bristles.
         latch: the latched normal force, or None.
     """
 
     pair: Any
-    axes: list[Motion]
+    axes: ContactAxes
     D: Lane
     reference: list[Lane]
     contact: Contact
     candidate: Any
-    first_axes: Sequence[Motion] = ()
+    first_axes: ContactAxes | None = None
     bristle: Sequence[Lane] = ()
     latch: Lane | None = None
-
-    def along(self, y: Motion) -> list[Lane]:
-        """Compute the velocity along each row of the contact, b_k . y, for a relative twist y."""
-        return [axis.dot(y) for axis in self.axes]
-
-    def wrench(self, f: Sequence[Lane]) -> Force:
-        """Compute the wrench of the forces f along the rows, the sum of b_k f_k."""
-        return wrench_along(self.axes, f)
-
-    def stiffness(self, H: Sequence[Sequence[Lane]]) -> ArticulatedInertia:
-        """Compute the 6 by 6 stiffness of the contact, the sum of b_k H_kl b_l^T over its rows.
-
-        H: lower triangle of the Hessian in the rows.
-        """
-        out, n = ArticulatedInertia.zero(), len(self.axes)
-        for k, axis in enumerate(self.axes):
-            row = [H[max(k, j)][min(k, j)] for j in range(n)]
-            out = out + ArticulatedInertia.outer(Force(axis.ang, axis.lin), self.wrench(row))
-        return out
-
-
-def wrench_along(axes: Sequence[Motion], f: Sequence[Lane]) -> Force:
-    """Compute the wrench sum of b_k f_k of forces f_k along axes b_k."""
-    components = zip(*map(list, axes), strict=True)
-    return Force.from_lanes(
-        [total(mul(x, y) for x, y in zip(row, f, strict=True)) for row in components]
-    )
 
 
 @dataclass(frozen=True)
@@ -139,13 +114,14 @@ class ContactSet:
         """Compute the velocity along each row of a contact, J v, from the link twists at v."""
         if self.grounded:
             k, sign = self._moving_end(row)
-            return row.along(Motion.from_lanes(unpack(twists[k])) * sign)
+            return row.axes.rates(Motion.from_lanes(unpack(twists[k])) * sign)
         one, other = (unpack(twists[k]) for k in self._ends(row))
-        if not self.coupled:
-            return row.along(Motion.from_lanes([y - x for x, y in zip(one, other, strict=True)]))
-        first, second = Motion.from_lanes(one), Motion.from_lanes(other)
-        both = zip(row.first_axes, row.axes, strict=True)
-        return [b.dot(second) - a.dot(first) for a, b in both]
+        if row.first_axes is None:
+            difference = [y - x for x, y in zip(one, other, strict=True)]
+            return row.axes.rates(Motion.from_lanes(difference))
+        first = row.first_axes.rates(Motion.from_lanes(one))
+        second = row.axes.rates(Motion.from_lanes(other))
+        return [b - a for a, b in zip(first, second, strict=True)]
 
     def residual(self, row: Row, twists: jax.Array) -> list[Lane]:
         """Compute the residual J x - a_ref of a contact's rows from the link twists at x."""
@@ -156,10 +132,10 @@ class ContactSet:
         """Add the forces f along the rows of a contact to the wrenches on its two links."""
         if self.grounded:
             k, sign = self._moving_end(row)
-            return wrenches.at[k].add(jnp.stack(list(row.wrench(f) * sign)))
+            return wrenches.at[k].add(jnp.stack(list(row.axes.wrench(f) * sign)))
         one, other = self._ends(row)
-        second = jnp.stack(list(row.wrench(f)))
-        first = jnp.stack(list(wrench_along(row.first_axes, f))) if self.coupled else second
+        second = jnp.stack(list(row.axes.wrench(f)))
+        first = second if row.first_axes is None else jnp.stack(list(row.first_axes.wrench(f)))
         return wrenches.at[one].add(-first).at[other].add(second)
 
     def _moving_end(self, row: Row) -> tuple[Any, Lane]:
@@ -171,10 +147,11 @@ class ContactSet:
         """Return the indices of the two links of a contact."""
         return [entry(self.links[:, k], row.pair) for k in (0, 1)]
 
-    def add_stiffness(self, row: Row, sums: jax.Array, K: ArticulatedInertia) -> jax.Array:
-        """Add the stiffness K of a contact to the sum (n, 21) of its pair of links."""
-        lanes = jnp.stack([*K.J, *K.H, *K.M])
-        return sums.at[entry(self.link_pairs, row.pair)].add(lanes)
+    def add_stiffness(
+        self, row: Row, sums: LinkStiffness, H: Sequence[Sequence[Lane]]
+    ) -> LinkStiffness:
+        """Add the stiffness of a contact with the Hessian H in its rows to its pair of links."""
+        return sums.add(entry(self.link_pairs, row.pair), row.axes.stiffness(H))
 
     def _scan(self, world: World, step: Callable, carry: Any) -> Any:
         """Run carry = step(carry, contact, pair, candidate, active) over all candidate contacts."""
@@ -236,21 +213,22 @@ class ContactSet:
     def row_of(self, world: World, contact: Contact, pair: Any, candidate: Any, active: Any) -> Row:
         """Compute the rows of a contact. If it is not active, D is 0."""
         margin, axes = self._lane(self.parameters.margin, pair), self.axes(world, contact, pair)
-        row = Row(pair, axes[-1], 0.0, [], contact, candidate, axes[0] if self.coupled else ())
+        first = axes[0] if self.coupled else None
+        row = Row(pair, axes[-1], 0.0, [], contact, candidate, first)
         v = self.rates(row, world.twists)
         r = jnp.where(active, contact.distance - margin, 0.0)
         D, references = self._reference(row, r, v)
         if world.responses is not None:
             mu = () if self.options.elliptic else self.cone(row).mu
-            D = D * stretch(row.axes, mu, world.responses[:, entry(self.link_pairs, pair)])
+            axis = row.axes.row(0) + row.axes.row(1) * mu[0] if mu else row.axes.row(0)
+            D = D * stretch(axis, world.responses[:, entry(self.link_pairs, pair)])
         return row._replace(D=jnp.where(active, D, 0.0), reference=references)
 
-    def axes(self, world: World, contact: Contact, pair: Any) -> list[list[Motion]]:
-        """Compute the axes b_k of the rows of a contact: in the axes of both links if the set is
-        coupled, else once."""
-        e, p = contact_frame(contact.normal, contact.tangent), contact.position
-        every = [Motion(p.cross(x), x) for x in e] + [Motion(x, Vec3.zero()) for x in e]
-        axes = every[: self.dim]
+    def axes(self, world: World, contact: Contact, pair: Any) -> list[ContactAxes]:
+        """Compute the point and the axes of a contact: for each link if the set is coupled, else
+        once."""
+        frame = contact_frame(contact.normal, contact.tangent)
+        axes = ContactAxes(contact.position, frame[: self.dim], self.dim)
         if world.poses is None:
             return [axes]
         # if one of the links is the world, it is the last one
@@ -334,8 +312,8 @@ class Slots(NamedTuple):
 
     Fields:
         found: the contacts.
-        rows: (n, 7 dim + 1) D, reference accelerations and axes of each slot. Coupled sets have the
-            axes of both links (n, 13 dim + 1).
+        rows: (n, m) D, reference accelerations, and the lanes of the axes of each slot; those of
+            the first link too if the set is coupled.
     """
 
     found: Found
@@ -351,20 +329,20 @@ class Slots(NamedTuple):
 
         def compute(k: Any, rows: jax.Array) -> jax.Array:
             row = contacts.row_of_found(world, found, k)
-            lanes = [x for axis in [*row.axes, *row.first_axes] for x in axis]
-            return rows.at[k].set(pack([row.D, *row.reference, *lanes], rows[0]))
+            first = row.first_axes.lanes if row.first_axes else []
+            return rows.at[k].set(pack([row.D, *row.reference, *row.axes.lanes, *first], rows[0]))
 
-        shape = contacts.candidates, (13 if contacts.coupled else 7) * contacts.dim + 1
+        shape = contacts.candidates, width_of_rows(contacts.dim, contacts.coupled)
         none = jax.lax.empty(shape, world.geoms.dtype)
         return cls(found, found.fold(compute, none))
 
     def row(self, k: Any, dim: int) -> Row:
         """Return the rows of active contact k. dim: number of rows."""
         (D, *x), found = unpack(self.rows[k]), self.found
-        starts = range(dim, len(x), 6)
-        axes = [Motion.from_lanes(x[i : i + 6]) for i in starts]
+        size = ContactAxes.size(dim)
+        axes = [ContactAxes.from_lanes(x[i : i + size], dim) for i in range(dim, len(x), size)]
         at = found.contact(k), found.candidates[k]
-        return Row(found.pairs[k], axes[:dim], D, x[:dim], *at, axes[dim:])
+        return Row(found.pairs[k], axes[0], D, x[:dim], *at, *axes[1:])
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the indices k of all active contacts."""
@@ -376,11 +354,16 @@ class Slots(NamedTuple):
         return self._replace(found=self.found._replace(length=length))
 
 
-def _in_link(pose: jax.Array, axes: Sequence[Motion]) -> list[Motion]:
-    """Transform axes about the origin to the axes of a link."""
+def width_of_rows(dim: int, coupled: bool = False) -> int:
+    """Return the number of lanes of a slot of `Slots.rows`."""
+    return 1 + dim + (2 if coupled else 1) * ContactAxes.size(dim)
+
+
+def _in_link(pose: jax.Array, axes: ContactAxes) -> ContactAxes:
+    """Transform a contact about the origin to the axes of a link."""
     x = unpack(pose)
     E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
-    return [Motion(E @ (b.ang - p.cross(b.lin)), E @ b.lin) for b in axes]
+    return ContactAxes(E @ (axes.point - p), [E @ e for e in axes.axes], axes.dim)
 
 
 def entry(table: Any, index: Any) -> Any:

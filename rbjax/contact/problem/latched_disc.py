@@ -30,11 +30,10 @@ import jax.numpy as jnp
 
 from rbjax.contact.geometry.shapes import Contact, contact_frame
 from rbjax.contact.problem.cones import TINY, Response
-from rbjax.contact.problem.contact_rows import ContactSet, Found, Row
+from rbjax.contact.problem.contact_rows import ContactSet, Found, Row, Slots, width_of_rows
 from rbjax.contact.problem.world import World
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Vec3, mul, pack, total, unpack
-from rbjax.spatial import Motion
 
 #: entries of the memory of a candidate: normal force, displacement, and rotation if it resists
 NORMAL, SLIDE, TURN = 0, slice(1, 4), slice(4, 7)
@@ -105,7 +104,7 @@ class DiscSlots(NamedTuple):
 
     Fields:
         found: the contacts.
-        rows: (n, 7 dim + 1) axes, D and reference accelerations, as in `Slots`.
+        rows: (n, m) D, reference accelerations and the lanes of the axes, as in `Slots`.
         bristles: (n, dim - 1) bristle of each contact.
         latches: (n,) the latched normal forces.
     """
@@ -117,12 +116,8 @@ class DiscSlots(NamedTuple):
 
     def row(self, k: Any, dim: int) -> Row:
         """Return the rows of active contact k. dim: number of rows."""
-        x, found, contact = unpack(self.rows[k]), self.found, self.found.contact(k)
-        axes = [Motion.from_lanes(x[6 * i : 6 * i + 6]) for i in range(dim)]
-        return Row(
-            found.pairs[k], axes, x[6 * dim], x[6 * dim + 1 :], contact, found.candidates[k],
-            bristle=unpack(self.bristles[k]), latch=self.latches[k],
-        )  # fmt: skip
+        row = Slots(self.found, self.rows).row(k, dim)
+        return row._replace(bristle=unpack(self.bristles[k]), latch=self.latches[k])
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the indices k of all active contacts."""
@@ -211,14 +206,13 @@ class DiscSet(ContactSet):
 
         gap: whether to include the contacts in the gap, which have no force.
         """
-        n, m, dtype = self.candidates, 7 * self.dim + 1, world.geoms.dtype
+        n, m, dtype = self.candidates, width_of_rows(self.dim), world.geoms.dtype
         found = self.found(world, gap=gap)
 
         def compute(k: Any, carry: tuple) -> tuple:
             rows, bristles, latches = carry
             row: Any = self.row_of_found(world, found, k)
-            lanes = [x for axis in row.axes for x in axis]
-            values = pack([*lanes, row.D, *row.reference], latches)
+            values = pack([row.D, *row.reference, *row.axes.lanes], latches)
             bristle = pack(row.bristle, latches)
             latch = self.memory[row.candidate, NORMAL]
             return rows.at[k].set(values), bristles.at[k].set(bristle), latches.at[k].set(latch)

@@ -25,6 +25,7 @@ from jax.ad_checkpoint import checkpoint_name
 from rbjax.contact.problem.contact_rows import ContactSet, Slots
 from rbjax.contact.problem.in_use import InUse, wrenches_in_use
 from rbjax.contact.problem.latched_disc import DiscSet
+from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.world import World
 from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
@@ -32,7 +33,7 @@ from rbjax.dynamics.algorithms.factors import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, total, unpack
 from rbjax.lanes.factorization import LDLT, ldlt
 from rbjax.model import WORLD
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.spatial import Force, Motion
 
 #: J (dof -> coefficient) and the Hessian s'' of a row with one force
 Stiff = tuple[Mapping[int, Lane], Lane]
@@ -123,15 +124,14 @@ class Tree(NamedTuple):
         x = factors.solve(b)
         return x, self.twists(x, dtype)
 
-    def factorize(self, stiffness: jax.Array, rows: Sequence[Stiff]) -> Factors:
+    def factorize(self, stiffness: LinkStiffness, rows: Sequence[Stiff]) -> Factors:
         """Factorize the Hessian of the contact problem.
 
-        stiffness: (n, 21) symmetric 6 by 6 stiffness of the contacts of each pair of links
-            (`Row.stiffness`).
+        stiffness: of the contacts of each pair of links.
         rows: of the rows with one force.
         """
         A = [list(row) for row in self.M]
-        K = [ArticulatedInertia.from_lanes(unpack(k)) for k in stiffness]
+        K = [stiffness.at(k) for k in range(len(self.link_pairs))]
         fixed: dict[int, Any] = {}
         for (a, b), k in zip(self.link_pairs, K, strict=True):
             if WORLD in (a, b):

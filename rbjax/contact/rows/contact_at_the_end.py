@@ -42,15 +42,13 @@ def contact_at_the_end(
     return 1.0 / normal.R, [normal.reference(r, v[0]), *(tangents.reference(0.0, x) for x in v[1:])]
 
 
-def stretch(axes: Sequence[Motion], mu: Sequence[Lane], responses: jax.Array) -> Lane:
+def stretch(axis: Motion, responses: jax.Array) -> Lane:
     """Compute the ratio sum J_j^2 / m_j over sum J_j^2 / m'_j of the first row of a contact.
 
-    The first row is the normal, or the first edge of a pyramid with the friction mu.
-
+    axis: unit motion of the row: the normal, or the first edge of a pyramid.
     responses: (2, 21) sums of S_j S_j^T / m_j and S_j S_j^T / m'_j, with the diagonals of the mass
         matrix and of the matrix of the solver.
     """
-    axis = axes[0] + axes[1] * mu[0] if mu else axes[0]
     own, solver = (axis.dot(ArticulatedInertia.from_lanes(unpack(x))(axis)) for x in responses)
     some = own > 0
     return jnp.where(some, own / jnp.where(some, solver, 1.0), 1.0)

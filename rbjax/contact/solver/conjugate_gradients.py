@@ -3,9 +3,13 @@
     H = H_0 + J^T s'' J
 
 H_0 is the Hessian without these contacts, which the articulated-body sweeps factorize, and J their
-Jacobian. Conjugate gradients with H_0 as the preconditioner end after at most one iteration more
-than J has active rows, after one if no such contact is active. H_0 p is never computed: it follows
-from the residual as p follows from H_0^-1 r. J p follows from the twists of the links at p.
+Jacobian. Conjugate gradients with H_0 as the preconditioner begin at x = H_0^-1 b. They end after
+at most as many iterations as J has active rows, after none if no such contact is active.
+
+The residual b - H x = J^T rho and the directions p = H_0^-1 J^T pi of all iterations are given by
+the forces rho and pi along the rows of the contacts. An iteration computes z = H_0^-1 J^T rho by
+two sweeps with the wrenches of rho, and J z from the twists of the links at z. So no vector of
+joint forces is computed, and H_0 x never.
 
 Source: Nocedal & Wright, *Numerical Optimization*, algorithm 5.3; Golub & Van Loan, *Matrix
 Computations*, 11.3 (a change of low rank).
@@ -19,11 +23,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.contact.problem.contact_rows import ContactSet, Row, Slots
 from rbjax.contact.problem.problem import Problem
 from rbjax.lanes import Lane, inner, mul, pack, total, unpack
 
-#: bytes of a number -> the norm of the residual at which the iteration ends, relative to b
-RESIDUAL = {4: 1e-6, 8: 1e-13}
+#: bytes of a number -> the norm of rho at which the iteration ends, relative to its first value
+RESIDUAL = {4: 1e-5, 8: 1e-12}
 #: the largest number of iterations
 ITERATIONS = 40
 
@@ -33,27 +38,93 @@ class Direction(NamedTuple):
 
     Fields:
         x: (nv,) the solution.
-        product: (nv,) H x, which differs from b by the residual.
         twists: (n + 1, 6) twists of the links that can touch at x.
+        residual: (n + 1, 6) wrenches on these links, whose joint forces are b - H x.
     """
-
-    x: jax.Array
-    product: jax.Array
-    twists: jax.Array
-
-
-class _Iterate(NamedTuple):
-    """An iterate: x with its twists, the residual b - H x, the search direction p with H_0 p and
-    its twists, r^T H_0^-1 r, and the number of iterations."""
 
     x: jax.Array
     twists: jax.Array
     residual: jax.Array
+
+
+class _Rows(NamedTuple):
+    """The forces rho and pi along the rows of the contacts of a set, and the rates J p, all (n,
+    dim)."""
+
+    rho: jax.Array
+    pi: jax.Array
+    rates: jax.Array
+
+
+class _Coupled(NamedTuple):
+    """The active contacts of a set whose contacts are between two links, with their residuals
+    J x - a_ref."""
+
+    contacts: ContactSet
+    slots: Slots
+    residuals: jax.Array
+
+    def rates(self, twists: jax.Array, rho: jax.Array, size: Lane) -> tuple[jax.Array, Lane]:
+        """Compute J z (n, dim) from the twists of the links at z, and add rho^T J z to a number."""
+
+        def step(k: Any, carry: tuple) -> tuple:
+            out, size = carry
+            y = self.contacts.rates(self._row(k), twists)
+            return out.at[k].set(pack(y, out[0])), size + inner(unpack(rho[k]), y)
+
+        return self.slots.fold(step, (jax.lax.empty(rho.shape, rho.dtype), size))
+
+    def turned(
+        self, rows: _Rows, rates: jax.Array, share: Lane, curvature: Lane
+    ) -> tuple[_Rows, jax.Array, Lane]:
+        """Return the rows with the next direction, the forces q = pi + s'' J p of H p = J^T q, and
+        a number plus p^T H p."""
+
+        def step(k: Any, carry: tuple) -> tuple:
+            pi, rate, out, curvature = carry
+            own = [a + share * b for a, b in zip(unpack(rows.rho[k]), unpack(pi[k]), strict=True)]
+            y = [a + share * b for a, b in zip(unpack(rates[k]), unpack(rate[k]), strict=True)]
+            cone, r = self.contacts.cone(self._row(k)), unpack(self.residuals[k])
+            q = [a + b for a, b in zip(own, products(cone.response(r).H, y), strict=True)]
+            new = (x.at[k].set(pack(y, x[0])) for x, y in ((pi, own), (rate, y), (out, q)))
+            return *new, curvature + inner(y, q)
+
+        begin = rows.pi, rows.rates, jax.lax.empty(rates.shape, rates.dtype), curvature
+        pi, rate, q, curvature = self.slots.fold(step, begin)
+        return _Rows(rows.rho, pi, rate), q, curvature
+
+    def reduced(
+        self, rho: jax.Array, alpha: Lane, q: jax.Array, wrenches: jax.Array, norm: Lane
+    ) -> tuple[jax.Array, jax.Array, Lane]:
+        """Return rho - alpha q, and add its wrenches and its squared norm."""
+
+        def step(k: Any, carry: tuple) -> tuple:
+            out, wrenches, norm = carry
+            new = [a - alpha * b for a, b in zip(unpack(out[k]), unpack(q[k]), strict=True)]
+            wrenches = self.contacts.add_forces(self._row(k), wrenches, new)
+            return out.at[k].set(pack(new, out[0])), wrenches, norm + inner(new, new)
+
+        return self.slots.fold(step, (rho, wrenches, norm))
+
+    def _row(self, k: Any) -> Row:
+        return self.slots.row(k, self.contacts.dim)
+
+
+class _Iterate(NamedTuple):
+    """An iterate: x and the direction p with their twists, the rows of each set of contacts, the
+    wrenches of rho, rho^T J z, the squared norm of rho and its first value, and the number of
+    solutions with H_0."""
+
+    x: jax.Array
+    twists: jax.Array
     p: jax.Array
-    product: jax.Array
     moving: jax.Array
+    rows: list[_Rows]
+    residual: jax.Array
     size: jax.Array
-    iterations: jax.Array
+    norm: jax.Array
+    first: jax.Array
+    solutions: jax.Array
 
 
 def solve_direction(
@@ -65,58 +136,49 @@ def solve_direction(
     acts: whether the contacts between two links act; otherwise H is H_0.
     """
     tree, dtype = problem.tree, problem.dtype
-    if not any(contacts.coupled for contacts in problem.sets):
+    still = jnp.zeros((len(tree.touching) + 1, 6), dtype)
+    every = zip(problem.sets, problem.slots, residuals, strict=True)
+    sets = [_Coupled(*x) for x in every if x[0].coupled]
+    if not sets:
         x, twists = tree.step(factors, b, dtype)
-        return Direction(x, b, twists)
-    both = zip(problem.sets, problem.slots, strict=True)
-    # most of the time no such contact is active, and the branch saves the inward sweep
-    touch = total(slots.found.length for contacts, slots in both if contacts.coupled) > 0
-    touch = touch & acts
-    bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2 * weighted_square(tree.weights, unpack(b))
+        return Direction(x, twists, still)
+    if acts is not True:
+        sets = [x._replace(slots=x.slots.unless(~acts)) for x in sets]
+    touch = total(x.slots.found.length for x in sets) > 0
+    bound = RESIDUAL[jnp.dtype(dtype).itemsize] ** 2
 
     def unfinished(at: _Iterate) -> jax.Array:
-        size = weighted_square(tree.weights, unpack(at.residual))
-        return (size > bound) & (at.iterations < ITERATIONS)
+        more = (at.norm > bound * at.first) & (at.solutions <= ITERATIONS)
+        return (at.solutions == 0) | (touch & more)
 
     def step(at: _Iterate) -> _Iterate:
-        z, twists = tree.step(factors, at.residual, dtype)
-        size = inner(unpack(z), unpack(at.residual))
-        share = jnp.where(at.iterations > 0, size / at.size, 0.0)
-        p, product = z + share * at.p, at.residual + share * at.product
-        moving = twists + share * at.moving
-        Hp = product + jax.lax.cond(
-            touch, lambda: coupling(problem, moving, residuals), lambda: jnp.zeros_like(b)
-        )
-        alpha = size / inner(unpack(p), unpack(Hp))
+        # the first solution is of b, with rho = 0, and a whole step along it
+        begins = at.solutions == 0
+        z, twists = tree.step(factors, jnp.where(begins, b, 0.0), dtype, at.residual)
+        size, curvature, norm = [jnp.zeros((), dtype)] * 3
+        rates, forces, rows, wrenches = [], [], [], still
+        for of, own in zip(sets, at.rows, strict=True):
+            found, size = of.rates(twists, own.rho, size)
+            rates.append(found)
+        share = jnp.where(at.solutions > 1, size / at.size, 0.0)
+        for of, own, rate in zip(sets, at.rows, rates, strict=True):
+            own, q, curvature = of.turned(own, rate, share, curvature)
+            rows.append(own)
+            forces.append(q)
+        alpha = jnp.where(begins, 1.0, size / curvature)
+        for k, (of, own, q) in enumerate(zip(sets, rows, forces, strict=True)):
+            rho, wrenches, norm = of.reduced(own.rho, alpha, q, wrenches, norm)
+            rows[k] = own._replace(rho=rho)
+        p, moving = z + share * at.p, twists + share * at.moving
         x, sums = at.x + alpha * p, at.twists + alpha * moving
-        left = at.residual - alpha * Hp
-        return _Iterate(x, sums, left, p, product, moving, size, at.iterations + 1)
+        first = jnp.where(begins, norm, at.first)
+        return _Iterate(x, sums, p, moving, rows, wrenches, size, norm, first, at.solutions + 1)
 
-    zero, still = jnp.zeros_like(b), jnp.zeros((len(tree.touching) + 1, 6), dtype)
-    one = jnp.ones((), dtype)
-    start = _Iterate(zero, still, b, zero, zero, still, one, jnp.int32(0))
+    zero, number = jnp.zeros_like(b), jnp.zeros((), dtype)
+    none = [_Rows(*[jnp.zeros_like(x.residuals)] * 3) for x in sets]
+    start = _Iterate(zero, still, zero, still, none, still, number, number, number, jnp.int32(0))
     found = jax.lax.while_loop(unfinished, step, start)
-    return Direction(found.x, b - found.residual, found.twists)
-
-
-def coupling(problem: Problem, twists: jax.Array, residuals: Sequence[jax.Array]) -> jax.Array:
-    """Compute H p of the contacts between two links, from the link twists at a direction p.
-
-    The result is J^T s'' J p with the Hessians s'' of these contacts at the residuals.
-    """
-    wrenches = jnp.zeros_like(twists)
-    for contacts, slots, r in zip(problem.sets, problem.slots, residuals, strict=True):
-        if not contacts.coupled:
-            continue
-
-        def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
-            row = slots.row(k, of.dim)
-            H = of.cone(row).response([r[k, i] for i in range(of.dim)]).H
-            return of.add_forces(row, out, products(H, of.rates(row, twists)))
-
-        wrenches = slots.fold(push, wrenches)
-    like = jnp.zeros(len(problem.rhs), problem.dtype)
-    return pack(problem.tree.generalized(wrenches), like)
+    return Direction(found.x, found.twists, found.residual)
 
 
 def products(H: Sequence[Sequence[Lane]], s: Sequence[Lane]) -> list[Lane]:

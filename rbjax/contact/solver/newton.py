@@ -26,9 +26,10 @@ The turns of the loop compute the cost first, and then a step. So the program ha
 which an instruction cache may hold. A step that is implicit in the damping of joints also needs
 (M + A)^-1 M x with a diagonal matrix A. The last turn computes it by the code of a step.
 
-M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of
-the last term are kept by link, so one inward sweep gives the gradient. The solution of H p = -g
-gives the twists of the links at p too, so a step is one inward and one outward sweep.
+M x is never computed. A step changes it by M p = H p - J^T s'' J p. The wrenches of the last term
+are kept by link, so one inward sweep gives the gradient. The solution of H p = -g gives the twists
+of the links at p too, so a step is one inward and one outward sweep. What it leaves of H p + g is
+also kept as wrenches (`conjugate_gradients`).
 
 (Todorov, *Convex and analytically-invertible dynamics with contacts and constraints*, 2014; Boyd &
 Vandenberghe, *Convex Optimization*, 9.5.)
@@ -44,6 +45,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import integer
+from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.problem import Problem, Stiff, add_row
 from rbjax.contact.solver.conjugate_gradients import (
     Direction,
@@ -58,7 +60,7 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 #: the largest numbers of steps, and of evaluations of a line search
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
-SLOPE = 0.01
+SLOPE = 0.1
 #: the error, relative to the tolerance, below which an iteration ends that does not halve it: only
 #: rounding is left
 NEAR = 10
@@ -226,17 +228,16 @@ def _factors(problem: Problem, at: _Iterate, last: _Last | None = None) -> Any:
     return problem.tree.factorize(_stiffness(problem, at, last), rows)
 
 
-def _stiffness(problem: Problem, at: _Iterate, last: _Last | None) -> jax.Array:
-    """Compute the stiffness (n, 21) of the contacts of each pair of links, at the last turn 0."""
-    out = jnp.zeros((len(problem.tree.link_pairs), 21), problem.dtype)
+def _stiffness(problem: Problem, at: _Iterate, last: _Last | None) -> LinkStiffness:
+    """Compute the stiffness of the contacts of each pair of links, at the last turn 0."""
+    out = LinkStiffness.zero(len(problem.tree.link_pairs), problem.dtype)
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):
         if contacts.coupled:
             continue
 
         def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
             row = slots.row(k, of.dim)
-            H = of.cone(row).response([r[k, i] for i in range(of.dim)]).H
-            return of.add_stiffness(row, out, row.stiffness(H))
+            return of.add_stiffness(row, out, of.cone(row).response(unpack(r[k])).H)
 
         out = (slots if last is None else slots.unless(last.here)).fold(push, out)
     return out
@@ -286,15 +287,15 @@ def _moved(problem: Problem, at: _Iterate, cost: _Cost, direction: Direction) ->
     """Return the next iterate."""
     problem = _with_curvature(problem, at)
     dtype, gradient = problem.dtype, cost.gradient
-    p, product, twists = direction
+    p, twists, residual = direction
     # the change of u, its product with p, and the wrenches of J^T s'' J p
-    change, x, s = unpack(product), unpack(at.x), unpack(p)
+    change, x, s = [neg(g) for g in unpack(gradient)], unpack(at.x), unpack(p)
     slope = inner(s, unpack(gradient))
     for row in problem.loose:
         f, h = row.response(sub(row.along(x), row.reference))
         rate = row.along(s)
         change, slope = add_row(change, row, neg(mul(h, rate))), add(slope, mul(f, rate))
-    curvature, wrenches, rates = inner(s, change), jnp.zeros_like(at.w), []
+    curvature, wrenches, rates = inner(s, change), residual, []
     numbers = (jnp.asarray(y, dtype) for y in (slope, curvature))
     change, slope, curvature = problem.at_limits.along(at.x, p, (pack(change, p), *numbers))
     for contacts, slots, r in zip(problem.sets, problem.slots, at.residuals, strict=True):

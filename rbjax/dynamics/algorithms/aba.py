@@ -210,7 +210,8 @@ def factorize(
     """Factorize the mass matrix, with optional terms in addition, by the inward sweep of ABA.
 
     extra: lane to add to the diagonal, per link; None for zero.
-    inertia: `ArticulatedInertia` to add to each link, in its axes, per link; None for zero.
+    inertia: values per link, and the function that converts a value to the `ArticulatedInertia` to
+        add to the link, in its axes; None for zero.
     poses: `transforms` of the links; None to compute them here. With them, a derivative that saves
         U and 1 / D need not repeat the sweep for the other parts of the factors.
     """
@@ -219,7 +220,7 @@ def factorize(
         link, joint, more, own, *known = x
         link = replace(link, armature=add(link.armature, more))
         X = known[0] if known else joint.transform(link)
-        others, columns = children[0] + own, children[1]
+        others, columns = children[0] + convert(own), children[1]
         I_A, flexible = joint.inertia(link).articulated() + others, joint.link_inertia(Vec3.zero())
         if flexible is not None:
             I_A, columns = I_A + flexible.rigid.articulated(), add_columns(flexible, columns)
@@ -227,11 +228,10 @@ def factorize(
         I_parent = to_parent(X, I_a, factor, rigid_mass(link, joint, others))
         return (I_parent, columns), factor
 
-    zero = ArticulatedInertia.zero()
-    extra = d.scattered({}, 0.0) if extra is None else extra
-    inertia = d.scattered({}, zero) if inertia is None else inertia
-    known = () if poses is None else (poses,)
-    return d.inward(inward, (zero, ()), d.zip(d.constants, joints, extra, inertia, *known))
+    zero, extra = ArticulatedInertia.zero(), d.scattered({}, 0.0) if extra is None else extra
+    values, convert = (extra, lambda _: zero) if inertia is None else inertia
+    given = d.constants, joints, extra, values, *(() if poses is None else (poses,))
+    return d.inward(inward, (zero, ()), d.zip(*given))
 
 
 def solve(d: Driver, factors: Any, tau: Any, outward: Any = None, p: Any = None) -> Any:
