@@ -91,6 +91,26 @@ def test_all_blocks_of_a_multiprocessor_fit(monkeypatch, size):
     assert local_sizes(program, arrays_in_shared_memory(program.builder.block, 32, most).places)
 
 
+def test_many_local_accesses_halve_the_warps(monkeypatch):
+    """With half the warps in step, each of them has twice the shared memory."""
+    program = written(walkers, *sample(65536))[0]
+    both, each = program.builder.block, 45 * 8 * 32  # bytes of both arrays of a warp
+    monkeypatch.setattr("rbjax.compiler.cuda.shared_arrays.LEAST_ACCESSES", 0.0)
+    every, some, none = (arrays_in_shared_memory(both, 32, n) for n in (each, each - 1, 0))
+    assert every.local == 0.0 < some.local < none.local
+    monkeypatch.setattr(kernels, "FILLS_REGISTERS", 0)
+    available = 4 * each + kernels.DRIVERS_BYTES
+    assert kernel(program, multiprocessor_bytes=available).block == 32  # not in step
+    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP"):
+        monkeypatch.setattr(lockstep, name, 0)
+    monkeypatch.setattr(kernels, "MOST_LOCAL", some.local / 2)
+    code = kernel(program, multiprocessor_bytes=available)
+    assert code.block == 4 * 32 and code.shared_bytes == 4 * each
+    monkeypatch.setattr(kernels, "MOST_LOCAL", none.local)
+    code = kernel(program, multiprocessor_bytes=available)
+    assert code.block == 8 * 32 and 0 < code.shared_bytes < 8 * each
+
+
 def test_shared_memory_of_devices():
     assert driver.shared_bytes_of("9.0") == 227 * 1024
     assert driver.shared_bytes_of("99.0") == driver.LEAST_KIB * 1024

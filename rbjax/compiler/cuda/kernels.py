@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from rbjax.compiler.cuda import lockstep, stores
 from rbjax.compiler.cuda.c_source import PREAMBLE, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.driver import shared_bytes_of
-from rbjax.compiler.cuda.shared_arrays import SharedArrays, arrays_in_shared_memory
+from rbjax.compiler.cuda.shared_arrays import MOST_LOCAL, SharedArrays, arrays_in_shared_memory
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
 from rbjax.compiler.ir.statements import Unsupported
@@ -111,15 +111,18 @@ def kernel(
         raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
     parts = max(-(-math.prod(program.batch) // WARP), 1)
     loops = lockstep.loops_in_step(program)
-    warps = lockstep.warps_of_block(parts) if loops else 1
-    grid, threads = -(-parts // warps), WARP * warps
-    available, shared = SHARED_BYTES, SharedArrays({}, 0)
-    if program.statements > FILLS_REGISTERS:
-        blocks = min(lockstep.MOST_WARPS // warps, -(-grid // lockstep.MULTIPROCESSORS))
-        of_block = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
-        shared = arrays_in_shared_memory(program.builder.block, threads, of_block)
-        if shared.places:
-            available = min(available, of_block - shared.bytes)
+    for most in (lockstep.MOST_WARPS, lockstep.MOST_WARPS // 2):
+        warps = lockstep.warps_of_block(parts, most) if loops else 1
+        grid, threads = -(-parts // warps), WARP * warps
+        available, shared = SHARED_BYTES, SharedArrays({}, 0, 0.0)
+        if program.statements > FILLS_REGISTERS:
+            blocks = min(most // warps, -(-grid // lockstep.MULTIPROCESSORS))
+            of_block = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
+            shared = arrays_in_shared_memory(program.builder.block, threads, of_block)
+            if shared.places:
+                available = min(available, of_block - shared.bytes)
+        if not loops or shared.local <= MOST_LOCAL:
+            break
     plan = _plan_shared_memory(program, available // threads)
     in_step = loops if warps > 1 else set()
     source = "\n".join(_lines(program, name, plan, warps, parts, in_step, shared))

@@ -33,9 +33,10 @@ def loops_in_step(program: Written) -> set[int]:
     return {id(s) for s in found} if long else set()
 
 
-def warps_of_block(warps: int) -> int:
-    """Return the number of warps of a block, for a batch of this number of warps."""
-    return min(-(-warps // MULTIPROCESSORS), MOST_WARPS)
+def warps_of_block(warps: int, most: int = MOST_WARPS) -> int:
+    """Return the number of warps of a block, at most `most`, for a batch of this number of
+    warps."""
+    return min(-(-warps // MULTIPROCESSORS), most)
 
 
 def _long_loops(block: ir.Block, *, counted: bool) -> Iterator[ir.Statement]:

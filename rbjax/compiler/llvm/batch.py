@@ -224,7 +224,7 @@ def _lane_step(layout: BatchLayout, batch: tuple[int, ...], lanes: int) -> int |
 def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
     """Return the number of samples of a part, and the number of parts.
     The last part also contains the remainder of the batch, unless a part is one vector."""
-    work = max(count_operations(program.builder.block, TURNS), 1)
+    work = max(count_operations(program.builder.block, (TURNS,)), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
     each = max(min(-(-wanted // lanes) * lanes, size), 1)
     single = each == lanes and not any(program.summed)

@@ -18,11 +18,14 @@ import numpy as np
 from rbjax.compiler.ir import statements as ir
 
 
-def count_operations(block: ir.Block, turns: int = 1) -> int:
-    """Count the executed operations: the longer branch, `turns` iterations of a `while` loop."""
+def count_operations(block: ir.Block, turns: Sequence[int] = (1,)) -> int:
+    """Count the executed operations, with the longer branch of each condition.
+
+    turns: as in `count_accesses`.
+    """
     total = 0
     for s in block.statements:
-        inner = [count_operations(x, turns) for x in s.children()]
+        inner = [count_operations(x, _turns_inside(s, turns)) for x in s.children()]
         runs = max(inner) if isinstance(s, ir.If) else sum(inner)
         total += isinstance(s, ir.Op) + _iterations(s, turns) * runs
     return total
@@ -38,15 +41,18 @@ def count_accesses(block: ir.Block, turns: Sequence[int] = (1,)) -> Counter[int]
     for s in block.statements:
         if isinstance(s, ir.Load | ir.Store):
             total[s.array.id] += 1
-        further = turns[1:] or turns if isinstance(s, ir.While) else turns
         for inner in s.children():
-            found = count_accesses(inner, further)
-            total.update({k: _iterations(s, turns[0]) * n for k, n in found.items()})
+            found = count_accesses(inner, _turns_inside(s, turns))
+            total.update({k: _iterations(s, turns) * n for k, n in found.items()})
     return total
 
 
-def _iterations(s: ir.Statement, turns: int = 1) -> int:
-    return s.count if isinstance(s, ir.Loop) else turns if isinstance(s, ir.While) else 1
+def _turns_inside(s: ir.Statement, turns: Sequence[int]) -> Sequence[int]:
+    return turns[1:] or turns if isinstance(s, ir.While) else turns
+
+
+def _iterations(s: ir.Statement, turns: Sequence[int]) -> int:
+    return s.count if isinstance(s, ir.Loop) else turns[0] if isinstance(s, ir.While) else 1
 
 
 @dataclass
