@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from rbjax.compiler import kernels_available
-from rbjax.compiler.jax import tangents
+from rbjax.compiler.jax import launch, tangents
 from rbjax.compiler.jax.function import compile_threads, one_program, threads
+from rbjax.compiler.llvm import jit as llvm_jit
 from tests.compilations import compilations
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -263,3 +264,28 @@ def test_calls_in_several_loops_share_one_program():
             jax.tree.leaves(own(scale, x)), jax.tree.leaves(plain(scale, x)), strict=True
         ):
             np.testing.assert_allclose(a, b, rtol=1e-13)
+
+
+def test_while_loops_of_one_sample_are_optimised_more(monkeypatch):
+    """Neighboring operations of one sample become vector operations; samples of a batch are
+    vectors already, and programs without such loops gain little."""
+    used, register = [], launch.register_host_kernel
+
+    def kernel(written, levels):
+        used.append(levels)
+        return register(written, levels)
+
+    monkeypatch.setattr(launch, "register_host_kernel", kernel)
+
+    def halved(x):
+        return jax.lax.while_loop(lambda y: (y > 1.0).any(), lambda y: 0.5 * y, x)
+
+    x = jnp.asarray([[8.0, 3.0], [0.5, 20.0]])
+    one = jax.jit(threads(halved))
+    np.testing.assert_array_equal(one(x[0]), [1.0, 0.375])
+    np.testing.assert_array_equal(jax.vmap(one)(x), [[1.0, 0.375], [0.015625, 0.625]])
+    jax.jit(threads(lambda x: 0.25 * x))(x[0])
+    assert used == [llvm_jit.SAMPLE_LEVELS, llvm_jit.LEVELS, llvm_jit.LEVELS]
+    monkeypatch.setattr(llvm_jit, "SAMPLE_STATEMENTS", 0)
+    jax.jit(threads(lambda x: halved(2.0 * x)))(x[0])
+    assert used[-1] == llvm_jit.LEVELS

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.statements import Array, Op, Reserve, walk
+from rbjax.compiler.ir.statements import Array, Op, Reserve, While, walk
 
 
 def row_major(shape: Sequence[int]) -> tuple[int, ...]:
@@ -92,6 +92,11 @@ class Written:
     def statements(self) -> int:
         """The number of operations in the code of one thread. Operations of a loop count once."""
         return sum(isinstance(s, Op) for s in walk(self.builder.block))
+
+    @property
+    def iterates(self) -> bool:
+        """Whether the program has a `while` loop."""
+        return any(isinstance(s, While) for s in walk(self.builder.block))
 
     @property
     def array_bytes(self) -> int:

@@ -29,7 +29,7 @@ from rbjax._jax_compat import (
 )
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda import team
-from rbjax.compiler.ir.program import BatchLayout
+from rbjax.compiler.ir.program import BatchLayout, Written
 from rbjax.compiler.ir.statements import Unsupported
 from rbjax.compiler.jax import launch
 from rbjax.compiler.jax.garbage import gc_paused
@@ -193,15 +193,22 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
     ]
     args = program.closed, batch, operands, results, summed, platform
     if platform == "cpu":
-        levels = llvm_jit.MATRIX_LEVELS if program.team else llvm_jit.LEVELS
-        levels = llvm_jit.QUICK_LEVELS if program.compile_fast and not batch else levels
-        single = program.team and not batch
-        written = write_program(*args, matrices=single)
-        return launch.register_host_kernel(written, levels)
+        written = write_program(*args, matrices=program.team and not batch)
+        return launch.register_host_kernel(written, _levels(program, written))
     if program.team and team.fits(written := write_program(*args, team=True)):
         return team.kernel(written)
     bytes = launch.multiprocessor_bytes()
     return cuda.kernel(write_program(*args), multiprocessor_bytes=bytes)
+
+
+def _levels(program: Program, written: Written) -> llvm_jit.OptimizationLevels:
+    """Return the optimization levels of a program on a CPU."""
+    if program.compile_fast and not written.batch:
+        return llvm_jit.QUICK_LEVELS
+    short = written.statements <= llvm_jit.SAMPLE_STATEMENTS
+    if program.team or (not written.batch and written.iterates and short):
+        return llvm_jit.SAMPLE_LEVELS
+    return llvm_jit.LEVELS
 
 
 @functools.cache
