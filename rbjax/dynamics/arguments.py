@@ -207,10 +207,13 @@ def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None
     xp, values = module_for_check(q)
     least = np.finfo(q.dtype).tiny
     for start in model.topology.quaternion_starts:
-        with np.errstate(over="ignore", under="ignore"):
+        # constants in traced code stay concrete
+        with np.errstate(over="ignore", under="ignore"), jax.ensure_compile_time_eval():
             squared = xp.square(values[..., start : start + 4]).sum(-1)
-        if not ((least <= squared) & (squared < np.inf)).all():
-            kind = "a zero quaternion" if xp.isfinite(squared).all() else "an infinite quaternion"
+            has_length = bool(((least <= squared) & (squared < np.inf)).all())
+        if not has_length:
+            finite = np.isfinite(np.asarray(squared)).all()
+            kind = "a zero quaternion" if finite else "an infinite quaternion"
             raise InputError(
                 f"{where}: {name}[{start}:{start + 4}] is {kind} (its squared length is 0 or "
                 f"infinite in {values.dtype}), expected a unit one (w, x, y, z); "

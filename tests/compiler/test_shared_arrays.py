@@ -73,11 +73,12 @@ def test_places_do_not_overlap(monkeypatch):
 
 def test_short_programs_keep_their_arrays(monkeypatch):
     program = written(walkers, *sample(64))[0]
-    assert kernel(program).shared_bytes == 0 and "dynamic" not in kernel(program).source
+    code = kernel(program, multiprocessor_bytes=pytest.fail)  # on a GPU, a self-test
+    assert code.shared_bytes == 0 and "dynamic" not in code.source
     monkeypatch.setattr(kernels, "FILLS_REGISTERS", 0)
     code = kernel(program)
     assert code.shared_bytes == 5 * 8 * 32 and "extern __shared__" in code.source
-    assert kernel(program, multiprocessor_bytes=0).shared_bytes == 0
+    assert kernel(program, multiprocessor_bytes=lambda: 0).shared_bytes == 0
 
 
 @pytest.mark.parametrize("size", [65536, 64 * 132])
@@ -100,14 +101,14 @@ def test_many_local_accesses_halve_the_warps(monkeypatch):
     assert every.local == 0.0 < some.local < none.local
     monkeypatch.setattr(kernels, "FILLS_REGISTERS", 0)
     available = 4 * each + kernels.DRIVERS_BYTES
-    assert kernel(program, multiprocessor_bytes=available).block == 32  # not in step
+    assert kernel(program, multiprocessor_bytes=lambda: available).block == 32  # not in step
     for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP"):
         monkeypatch.setattr(lockstep, name, 0)
     monkeypatch.setattr(kernels, "MOST_LOCAL", some.local / 2)
-    code = kernel(program, multiprocessor_bytes=available)
+    code = kernel(program, multiprocessor_bytes=lambda: available)
     assert code.block == 4 * 32 and code.shared_bytes == 4 * each
     monkeypatch.setattr(kernels, "MOST_LOCAL", none.local)
-    code = kernel(program, multiprocessor_bytes=available)
+    code = kernel(program, multiprocessor_bytes=lambda: available)
     assert code.block == 8 * 32 and 0 < code.shared_bytes < 8 * each
 
 

@@ -61,3 +61,17 @@ def test_what_is_not_finite_is_found_among_few_and_many(many: int) -> None:
     check_quaternions("f", "q", TOP, q)
     with pytest.raises(rb.InputError, match=r"q\[0:4\] is a zero quaternion"):
         check_quaternions("f", "q", TOP, q.at[-1].set(0.0))
+
+
+@pytest.mark.parametrize("many", [10, 20_000])
+def test_constants_in_traced_code_are_checked(many: int) -> None:
+    """A start that a traced function closes over is a constant, in a small and in a large batch."""
+    q, v = jnp.zeros((many, 4)).at[:, 0].set(1.0), jnp.zeros((many, 3))
+
+    def end(q: jax.Array, dt: float) -> jax.Array:
+        return rb.rollout(TOP, rb.State(q, v), None, dt, steps=1).q.sum()
+
+    assert jnp.isfinite(jax.jit(lambda dt: end(q, dt))(1e-3))
+    zero = q.at[-1].set(0.0)
+    with pytest.raises(rb.InputError, match="is a zero quaternion"):
+        jax.jit(lambda dt: end(zero, dt))(1e-3)

@@ -10,8 +10,9 @@ arrays that a loop uses most are in shared memory too (`shared_arrays`).
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from rbjax.compiler.cuda import lockstep, stores
@@ -97,11 +98,14 @@ class Kernel:
 
 
 def kernel(
-    program: Written, name: str = "threads", multiprocessor_bytes: int = shared_bytes_of("9.0")
+    program: Written,
+    name: str = "threads",
+    multiprocessor_bytes: Callable[[], int] | None = None,
 ) -> Kernel:
     """Return the kernel of a program. Raise `Unsupported` if it is too large for a thread.
 
-    multiprocessor_bytes: the shared memory of a multiprocessor, for all its blocks.
+    multiprocessor_bytes: returns the shared memory of a multiprocessor, for all its blocks. It is
+        called for long programs only; None for that of an H100.
     """
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
@@ -117,7 +121,8 @@ def kernel(
         available, shared = SHARED_BYTES, SharedArrays({}, 0, 0.0)
         if program.statements > FILLS_REGISTERS:
             blocks = min(most // warps, -(-grid // lockstep.MULTIPROCESSORS))
-            of_block = max(multiprocessor_bytes // blocks - DRIVERS_BYTES, 0)
+            every = (multiprocessor_bytes or functools.partial(shared_bytes_of, "9.0"))()
+            of_block = max(every // blocks - DRIVERS_BYTES, 0)
             shared = arrays_in_shared_memory(program.builder.block, threads, of_block)
             if shared.places:
                 available = min(available, of_block - shared.bytes)

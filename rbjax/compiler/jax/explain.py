@@ -101,7 +101,7 @@ def explain(f: Callable, *args: object, batch: int = 65_536) -> Explanation:
     )  # fmt: skip
     if not (launch.has_gpu() and launch.kernels_work()):
         return found
-    code = kernel(program, multiprocessor_bytes=launch.multiprocessor_bytes())
+    code = kernel(program, multiprocessor_bytes=launch.multiprocessor_bytes)
     capability, ordinal = launch.capability(), launch.ordinal()
     used = driver.resources(ptx(code.source, capability), code.name, ordinal)
     limits = driver.limits(capability, ordinal)

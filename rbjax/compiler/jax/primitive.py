@@ -197,8 +197,7 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         return launch.register_host_kernel(written, _levels(program, written))
     if program.team and team.fits(written := write_program(*args, team=True)):
         return team.kernel(written)
-    bytes = launch.multiprocessor_bytes()
-    return cuda.kernel(write_program(*args), multiprocessor_bytes=bytes)
+    return cuda.kernel(write_program(*args), multiprocessor_bytes=launch.multiprocessor_bytes)
 
 
 def _levels(program: Program, written: Written) -> llvm_jit.OptimizationLevels:
