@@ -40,10 +40,6 @@ def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:
 RANDOMISED = "iterations=3, randomise=True"
 FIGURES: dict[str, Figure] = {
     "envs.go1": _rate("go1_joystick_flat"),
-    "envs.go1.faster": Ratio(
-        _rate("go1_joystick_flat:iterations=3"), _rate("go1_joystick_flat"), 2
-    ),
-    "envs.g1.faster": Ratio(_rate("g1_joystick:iterations=3"), _rate("g1_joystick"), 2),
     "envs.cart-pole.unroll": Ratio(
         _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
     ),

@@ -17,8 +17,8 @@ from rbjax.compiler.ir import statements as ir
 from rbjax.compiler.ir.program import Written
 
 #: the number of operations above which a program runs in step; the same for a program with a
-#: `while` loop, in which warps drift further apart; and for each of its loops. The loop over contacts
-#: of a Go1's gradient has 848: with it in step 76 million steps a second, without 53
+#: `while` loop, in which warps drift further apart; and for each of its loops. A loop over contacts
+#: in the gradient of a Go1 has 848: with it in step 76 million steps a second, without 53
 LONG_PROGRAM, LONG_ITERATION, LONG_LOOP = 8_000, 4_000, 800
 #: the most warps of a block: with 255 registers a thread, all that a multiprocessor holds
 MOST_WARPS = 8
