@@ -9,8 +9,10 @@ import pytest
 
 import rbjax as rb
 from rbjax.contact.problem.assemble import Assembly
+from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.problem import relative_axes
 from rbjax.lanes import unpack
+from rbjax.spatial import ArticulatedInertia
 from tests.flexible.beams import random_state, round_beam
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM
 
@@ -73,15 +75,16 @@ def test_the_hessian_of_a_contact_at_a_frame() -> None:
     H[1, 1] += 2.0
     rows, turn = [({1: 1.0}, 2.0)], np.kron(np.eye(2), np.asarray(R))
     for assembly, own in ((fast, turn.T @ K @ turn), (dense, K)):
-        factors = assembly._tree().factorize(_lanes(own), rows)
+        factors = assembly._tree().factorize(_stiffness(own), rows)
         got = factors.solve(jnp.asarray(b))
         np.testing.assert_allclose(H @ np.asarray(got), b, atol=F64_IDENTITY * np.abs(H).max())
 
 
-def _lanes(K):
-    """Pack a symmetric 6 x 6 matrix [[J, H], [H^T, M]] as a row of an `ArticulatedInertia`."""
+def _stiffness(K):
+    """The stiffness of one link, a symmetric 6 x 6 matrix [[J, H], [H^T, M]]."""
     sym = lambda A: [A[0, 0], A[1, 1], A[2, 2], A[0, 1], A[0, 2], A[1, 2]]  # noqa: E731
-    return jnp.asarray([[*sym(K[:3, :3]), *K[:3, 3:].ravel(), *sym(K[3:, 3:])]])
+    lanes = [*sym(K[:3, :3]), *K[:3, 3:].ravel(), *sym(K[3:, 3:])]
+    return LinkStiffness.zero(1, K.dtype).add(0, ArticulatedInertia.from_lanes(lanes))
 
 
 def test_relative_axes_of_two_frames_of_one_beam() -> None:
