@@ -57,7 +57,8 @@ class ContactAxes(NamedTuple):
     def rates(self, y: Motion) -> list[Lane]:
         """Compute the velocity of each row at a twist y of the link."""
         at_point = y.lin + y.ang.cross(self.point)
-        return [e.dot(x) for e, x in self._pairs(at_point, y.ang)]
+        about = self.axes[: max(self.dim - 3, 0)]
+        return [e.dot(at_point) for e in self.axes] + [e.dot(y.ang) for e in about]
 
     def wrench(self, f: Sequence[Lane]) -> Force:
         """Compute the wrench on the link of the forces f along the rows, the sum of b_k f_k."""
@@ -77,11 +78,6 @@ class ContactAxes(NamedTuple):
             out = out + ArticulatedInertia.outer(Force(b.ang, b.lin), f)
         return out.shifted(self.point)
 
-    def _pairs(self, at_point: Vec3, rotation: Vec3) -> list[tuple[Vec3, Vec3]]:
-        """Return the axis of each row, with the vector whose component along it is the rate."""
-        both = [(e, at_point) for e in self.axes] + [(e, rotation) for e in self.axes]
-        return both[: self.dim]
-
     def _sum(self, f: Sequence[Lane]) -> Vec3:
-        """Compute the sum of f_k e_k."""
+        """Compute the sum of f_k e_k over the given f_k."""
         return sum((e * x for e, x in zip(self.axes, f, strict=False)), Vec3.zero())

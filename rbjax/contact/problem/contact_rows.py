@@ -45,7 +45,7 @@ class Row(NamedTuple):
         reference: reference acceleration of each row.
         contact: the contact about the origin.
         candidate: index of the candidate in its set.
-        first_axes: the same for the first link, if the axes of the two links differ.
+        first_axes: point and axes in the axes of the first link, if those of the two links differ.
         bristle: displacement of each friction row, if they have bristles.
         latch: the latched normal force, or None.
     """

@@ -1,4 +1,4 @@
-"""Newton's method with an exact line search for the convex problem of soft contact.
+"""Newton's method with a line search for the convex problem of soft contact.
 
     H = M + J^T s'' J,   p = -H^-1 g,   x <- x + alpha p,   alpha minimises the cost along p
 
