@@ -10,7 +10,6 @@ arrays that a loop uses most are in shared memory too (`shared_arrays`).
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -104,8 +103,8 @@ def kernel(
 ) -> Kernel:
     """Return the kernel of a program. Raise `Unsupported` if it is too large for a thread.
 
-    multiprocessor_bytes: returns the shared memory of a multiprocessor, for all its blocks. It is
-        called for long programs only; None for that of an H100.
+    multiprocessor_bytes: function that returns the shared memory of a multiprocessor, for all its
+        blocks. It is called for long programs only. None for the shared memory of an H100.
     """
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
@@ -121,7 +120,7 @@ def kernel(
         available, shared = SHARED_BYTES, SharedArrays({}, 0, 0.0)
         if program.statements > FILLS_REGISTERS:
             blocks = min(most // warps, -(-grid // lockstep.MULTIPROCESSORS))
-            every = (multiprocessor_bytes or functools.partial(shared_bytes_of, "9.0"))()
+            every = multiprocessor_bytes() if multiprocessor_bytes else shared_bytes_of("9.0")
             of_block = max(every // blocks - DRIVERS_BYTES, 0)
             shared = arrays_in_shared_memory(program.builder.block, threads, of_block)
             if shared.places:

@@ -202,12 +202,12 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
 
 def _levels(program: Program, written: Written) -> llvm_jit.OptimizationLevels:
     """Return the optimization levels of a program on a CPU."""
-    if program.compile_fast and not written.batch:
+    if written.batch:
+        return llvm_jit.SAMPLE_LEVELS if program.team else llvm_jit.LEVELS
+    if program.compile_fast:
         return llvm_jit.QUICK_LEVELS
-    short = written.statements <= llvm_jit.SAMPLE_STATEMENTS
-    if program.team or (not written.batch and written.iterates and short):
-        return llvm_jit.SAMPLE_LEVELS
-    return llvm_jit.LEVELS
+    iterates = written.iterates and written.statements <= llvm_jit.SAMPLE_STATEMENTS
+    return llvm_jit.SAMPLE_LEVELS if program.team or iterates else llvm_jit.LEVELS
 
 
 @functools.cache
