@@ -1,11 +1,17 @@
 """Newton's method in f32 ends when only rounding is left."""
 
+import json
+import warnings
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from rbjax.contact.soft import detected
 from rbjax.contact.solver import newton
+from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.motion.field import Field, dynamics_of, free_motion
 
@@ -38,3 +44,24 @@ def test_no_solve_takes_all_steps():
         assert int(iterations.max()) <= 20
         bound = newton.NEAR * newton.tolerance_of(jnp.float32)
         assert np.asarray(error).max() <= bound
+
+
+def test_an_error_that_stays_ends_the_iteration():
+    # the forces of the first step are 1e3 times those of the solution
+    given = json.loads((Path(__file__).parents[1] / "oracles/contact_rounding.json").read_text())
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the file has beyond the model
+        model = rb.load(Path(rb.envs.__file__).parent / "robots/g1.xml")
+        q, v, ctrl = (jnp.asarray(given[key], jnp.float32) for key in ("q", "v", "ctrl"))
+        tau, f_ext, _ = applied(model, 0.0, rb.State(q, v), Inputs(ctrl))
+
+        @jax.jit
+        @rb.threads
+        def steps(tolerance: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return newton.solve(detected(model, q, v, tau, f_ext), tolerance=tolerance)[1:3]
+
+        taken, left = steps(jnp.float32(0))
+        assert int(taken) == newton.ITERATIONS and float(left) > 0
+        # without the end, all steps
+        taken, error = steps(2 * left / (newton.NEAR + newton.FAR))
+    assert int(taken) <= 12 and abs(float(error / left) - 1) <= 0.05

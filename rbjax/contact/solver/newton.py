@@ -11,8 +11,9 @@ and of Newton's decrement of the last step, relative to the forces:
 
 both under a square root, with w_i = (M^-1)_ii.
 
-It also ends if a step does not halve an error below `NEAR` times the tolerance. What is left is
-rounding. Without this end a GPU waits for the few robots of a batch that take all 50 steps.
+It also ends if a step does not halve an error below `NEAR` times the tolerance, or hardly changes
+one below `FAR` times. What is left is rounding. Without this end a GPU waits for the few robots of
+a batch that take all 50 steps.
 
 The decrement is the error of x in the norm of H. It is small for rounding errors of stiff contacts,
 whose gradient is not. If alpha is above one, the decrement is alpha times larger, the length of the
@@ -61,9 +62,10 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
 SLOPE = 0.1
-#: the error, relative to the tolerance, below which an iteration ends that does not halve it: only
-#: rounding is left
-NEAR = 10
+#: errors relative to the tolerance, below which an iteration ends that does not halve its error, and
+#: that changes it by less than the share `STILL`. In f32 the first forces are up to 1e3 times those
+#: of the solution, and their rounding stays
+NEAR, FAR, STILL = 10, 30, 0.01
 #: the length below which a step is short
 SHORT = 0.5
 
@@ -149,8 +151,9 @@ def solve(
 
     def turn(at: _Iterate) -> _Iterate:
         cost, error = _evaluated(problem, at, constant)
-        stalled = (error <= NEAR * bound) & (error >= 0.5 * at.error)
-        goes = (error > bound) & (at.iterations < iterations) & ~stalled
+        near = (error <= NEAR * bound) & (error >= 0.5 * at.error)
+        still = (error <= FAR * bound) & (jnp.abs(error - at.error) < STILL * at.error)
+        goes = (error > bound) & (at.iterations < iterations) & ~(near | still)
         direction, unfinished = None, goes
         if added:  # the last turn has the matrix M + A, by the code of a step
             direction = _direction(problem, at, cost, _Last(~goes, added))
