@@ -68,7 +68,7 @@ def program(f, size, summed=()):
 @pytest.fixture
 def short(monkeypatch):
     """Short programs run in step, on one multiprocessor."""
-    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP"):
+    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP", "LONG_WHILE"):
         monkeypatch.setattr(lockstep, name, 0)
     monkeypatch.setattr(lockstep, "MULTIPROCESSORS", 1)
 
@@ -84,10 +84,20 @@ def test_which_loops_are_in_step(short):
     assert not lockstep.loops_in_step(found)
 
 
+def test_the_two_kinds_of_loops_have_their_own_bounds(short, monkeypatch):
+    found, _ = program(steps, 64)
+    every = [s for s in walk(found.builder.block) if isinstance(s, Loop | While)]
+    for name, kept in (("LONG_LOOP", While), ("LONG_WHILE", Loop)):
+        with monkeypatch.context() as bound:
+            bound.setattr(lockstep, name, 10**6)
+            chosen = lockstep.loops_in_step(found)
+        assert [type(s) for s in every if id(s) in chosen] == [kept]
+
+
 def test_short_programs_and_small_batches_have_blocks_of_one_warp(monkeypatch):
     assert kernel(program(steps, 64)[0]).block == 32
-    monkeypatch.setattr(lockstep, "LONG_ITERATION", 0)
-    monkeypatch.setattr(lockstep, "LONG_LOOP", 0)
+    for name in ("LONG_ITERATION", "LONG_LOOP", "LONG_WHILE"):
+        monkeypatch.setattr(lockstep, name, 0)
     code = kernel(program(steps, 64)[0])
     assert (code.block, code.grid, code.parts) == (32, 2, 2) and "__syncthreads" not in code.source
     code = kernel(program(steps, 65536)[0])

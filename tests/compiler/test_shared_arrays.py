@@ -102,7 +102,7 @@ def test_many_local_accesses_halve_the_warps(monkeypatch):
     monkeypatch.setattr(kernels, "FILLS_REGISTERS", 0)
     available = 4 * each + kernels.DRIVERS_BYTES
     assert kernel(program, multiprocessor_bytes=lambda: available).block == 32  # not in step
-    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP"):
+    for name in ("LONG_PROGRAM", "LONG_ITERATION", "LONG_LOOP", "LONG_WHILE"):
         monkeypatch.setattr(lockstep, name, 0)
     monkeypatch.setattr(kernels, "MOST_LOCAL", some.local / 2)
     code = kernel(program, multiprocessor_bytes=lambda: available)

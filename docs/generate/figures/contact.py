@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from docs.generate.figures.kinds import Figure, Number
 
-H100, H200 = "nvidia-h100-80gb-hbm3", "nvidia-h200"
+GPU = "nvidia-h200"
 CORE = "cpu-contact-amd-epyc"
 MAP = "contact-map-amd-epyc"
 
@@ -12,13 +12,13 @@ MAP = "contact-map-amd-epyc"
 def _gpu() -> dict[str, Figure]:
     out: dict[str, Figure] = {}
     for robot in ("humanoid", "humanoid_feet", "go1", "g1"):
-        for part, device in (("rollout", H100), ("free", H100), ("mjx", H200)):
-            file = f"gpu-contact-{robot}-{device}"
+        for part in ("rollout", "free", "mjx"):
+            file = f"gpu-contact-{robot}-{GPU}"
             where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
     for robot in ("humanoid", "humanoid_feet", "go1"):
-        file, where = f"gpu-warp-contact-{robot}-{H200}", {"what": "converged", "batch": 65536}
+        file, where = f"gpu-warp-contact-{robot}-{GPU}", {"what": "converged", "batch": 65536}
         out[f"gpu.contact.{robot}.warp"] = Number(file, "M/s median", where, digits=2)
     return out
 

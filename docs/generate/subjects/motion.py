@@ -29,6 +29,8 @@ ALGORITHMS = (
 CONTACT_PARTS = (
     "rollout",
     "free",
+    "scan, rollout",
+    "scan, free",
     "gradient, rollout",
     "gradient, free",
     "mjx, 4 Newton steps",

@@ -62,9 +62,9 @@ TOLERANCE = {4: 1e-5, 8: 1e-12}
 ITERATIONS, SEARCHES = 50, 12
 #: the slope along the step at which a line search ends, relative to the slope at its start
 SLOPE = 0.1
-#: errors relative to the tolerance, below which an iteration ends that does not halve its error, and
-#: that changes it by less than the share `STILL`. In f32 the first forces are up to 1e3 times those
-#: of the solution, and their rounding stays
+#: errors relative to the tolerance: below the first an iteration ends that does not halve it, below
+#: the second one that changes it by less than the share `STILL`. In f32 the first forces are up to
+#: 1e3 times those of the solution, and their rounding stays
 NEAR, FAR, STILL = 10, 30, 0.01
 #: the length below which a step is short
 SHORT = 0.5
