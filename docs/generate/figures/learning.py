@@ -14,13 +14,14 @@ def _rate(task: str, what: str = "step") -> Number:
     return Number(file, "M/s", where, digits=2)
 
 
-def _steps(algorithm: str) -> Number:
-    """Steps of a training until the reward of an episode is 800."""
+def _swing_up(algorithm: str, column: str = "steps") -> Number:
+    """The steps or seconds of a training until the reward of an episode is 800."""
 
     def first(row: measured.Row) -> float:
-        return min(report["steps"] for report in row["curve"] if report["reward"] >= 800)
+        return min(report[column] for report in row["curve"] if report["reward"] >= 800)
 
-    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first)
+    digits = 3 if column == "steps" else 2
+    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first, digits=digits)
 
 
 def _trained(task: str, algorithm: str, device: str, column: str = "return") -> Number:
@@ -40,10 +41,25 @@ def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:
 RANDOMISED = "iterations=3, randomise=True"
 FIGURES: dict[str, Figure] = {
     "envs.go1": _rate("go1_joystick_flat"),
+    "envs.g1": _rate("g1_joystick"),
+    "envs.panda": _rate("panda_pick_cube"),
+    "envs.cart-pole": _rate("cart_pole_balance"),
+    "envs.cart-pole.unrolled": _rate("cart_pole_balance", "unroll"),
+    "envs.go1.share": Ratio(_rate("go1_joystick_flat"), _rate("go1_joystick_flat", "rollout"), 2),
+    "envs.g1.share": Ratio(_rate("g1_joystick"), _rate("g1_joystick", "rollout"), 2),
+    "envs.panda.share": Ratio(_rate("panda_pick_cube"), _rate("panda_pick_cube", "rollout"), 2),
     "envs.cart-pole.unroll": Ratio(
         _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
     ),
-    "training.steps-ratio": Ratio(_steps("ppo"), _steps("shac"), 2),
+    "training.steps-ratio": Ratio(_swing_up("ppo"), _swing_up("shac"), 2),
+    "training.swing-up.ppo.seconds": _swing_up("ppo", "seconds"),
+    "training.swing-up.shac.seconds": _swing_up("shac", "seconds"),
+    "training.balance.seconds": Number(
+        f"training-cart-pole-balance-ppo-{CPU}", "goal_reached_s", digits=2
+    ),
+    "training.go1.ppo.seconds": _trained("go1-joystick-flat", "ppo", H100, "seconds"),
+    "training.g1.ppo.seconds": _trained("g1-joystick", "ppo", H100, "seconds"),
+    "training.panda.ppo.seconds": _trained("panda-pick-cube", "ppo", H100, "seconds"),
     "training.hopper.shac": _trained("hopper-run", "shac", H200),
     "training.hopper.shac.steps": _trained("hopper-run", "shac", H200, "steps"),
     "training.hopper.ppo": _trained("hopper-run", "ppo", H200),
