@@ -14,14 +14,18 @@ def _rate(task: str, what: str = "step") -> Number:
     return Number(file, "M/s", where, digits=2)
 
 
+def _share(task: str) -> Ratio:
+    """The rate of control steps over that of the bare rollout."""
+    return Ratio(_rate(task), _rate(task, "rollout"), 2)
+
+
 def _swing_up(algorithm: str, column: str = "steps") -> Number:
     """The steps or seconds of a training until the reward of an episode is 800."""
 
     def first(row: measured.Row) -> float:
         return min(report[column] for report in row["curve"] if report["reward"] >= 800)
 
-    digits = 3 if column == "steps" else 2
-    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first, digits=digits)
+    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first, digits=2)
 
 
 def _trained(task: str, algorithm: str, device: str, column: str = "return") -> Number:
@@ -45,9 +49,9 @@ FIGURES: dict[str, Figure] = {
     "envs.panda": _rate("panda_pick_cube"),
     "envs.cart-pole": _rate("cart_pole_balance"),
     "envs.cart-pole.unrolled": _rate("cart_pole_balance", "unroll"),
-    "envs.go1.share": Ratio(_rate("go1_joystick_flat"), _rate("go1_joystick_flat", "rollout"), 2),
-    "envs.g1.share": Ratio(_rate("g1_joystick"), _rate("g1_joystick", "rollout"), 2),
-    "envs.panda.share": Ratio(_rate("panda_pick_cube"), _rate("panda_pick_cube", "rollout"), 2),
+    "envs.go1.share": _share("go1_joystick_flat"),
+    "envs.g1.share": _share("g1_joystick"),
+    "envs.panda.share": _share("panda_pick_cube"),
     "envs.cart-pole.unroll": Ratio(
         _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
     ),
