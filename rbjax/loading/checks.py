@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -31,19 +30,6 @@ def check_finite(record: Record) -> None:
                 f"the compiled model has {type(record).__name__}.{name} = {values[bad][0]}, which "
                 f"is not finite; correct that number in the file"
             )
-
-
-def cast_leaf(x: np.ndarray) -> jax.Array:
-    """Cast numbers of a file to JAX's default dtype. Raise if a finite number overflows."""
-    with np.errstate(over="ignore"):
-        out = x.astype(jax.dtypes.canonicalize_dtype(x.dtype))
-    lost = np.isfinite(x) & ~np.isfinite(out)
-    if lost.any():
-        raise ModelError(
-            f"the file has the number {x[lost][0]}, which is too large for {out.dtype}; correct "
-            "it, or enable float64: jax.config.update('jax_enable_x64', True)"
-        )
-    return jnp.asarray(out)
 
 
 def check_finite_fields(m: mujoco.MjModel) -> None:

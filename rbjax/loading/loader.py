@@ -30,7 +30,7 @@ from rbjax.forces.actuators.actuator import (
 )
 from rbjax.forces.actuators.transmissions import JointAxis, SiteWrench
 from rbjax.forces.context import Context
-from rbjax.loading.checks import cast_leaf, check_finite_fields, joints_that_cancel
+from rbjax.loading.checks import check_finite_fields, joints_that_cancel
 from rbjax.loading.mjcf import dropped as features
 from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, soft_mimic
@@ -42,7 +42,15 @@ from rbjax.loading.mjcf.contacts import (
     contacts_left_out,
     mixed_references,
 )
-from rbjax.loading.mjcf.fields import Off, inertial_frame, is_on, matrix_of, names_of, reflected
+from rbjax.loading.mjcf.fields import (
+    Off,
+    inertial_frame,
+    is_on,
+    leaf,
+    matrix_of,
+    names_of,
+    reflected,
+)
 from rbjax.loading.mjcf.forces import force_elements
 from rbjax.loading.mjcf.sensors import read_sensors
 from rbjax.loading.mjcf.solver_parameters import pair_fields, solver_parameters
@@ -203,9 +211,6 @@ def from_compiled(
     """Convert a compiled MuJoCo model to a `Model`."""
     check_finite_fields(m)
 
-    def array(x):
-        return cast_leaf(np.asarray(x, np.float64))
-
     def enabled(flag, x):
         return x if is_on(m, flag) else np.zeros_like(x)
 
@@ -233,38 +238,38 @@ def from_compiled(
     affine = [x for x in driven if is_affine(x)]
     others = [x for x in driven if not is_affine(x)]
     elastic = force_elements(m, limits=limits, friction=friction)
-    solver = solver_parameters(m, array, limits=not limits, friction=not friction)
+    solver = solver_parameters(m, leaf, limits=not limits, friction=not friction)
     pairs = closed_pairs(m) if contacts else []
     tendons = limited_tendons(m) | rubbing_tendons(m) | (tendon_armature(m) != 0)
     contacts = contacts and bool(pairs or solver.limited or solver.rubbing or tendons.any())
     return Model(
         bodies=Bodies(
-            mass=array(m.body_mass[1:]),
-            com=array(centre[1:]),
-            inertia=array(inertia[1:]),
-            position=array(m.body_pos[1:]),
-            orientation=array(m.body_quat[1:]),
+            mass=leaf(m.body_mass[1:]),
+            com=leaf(centre[1:]),
+            inertia=leaf(inertia[1:]),
+            position=leaf(m.body_pos[1:]),
+            orientation=leaf(m.body_quat[1:]),
         ),
         joints=Joints(
-            placement=array(m.jnt_pos),
-            axis=array(m.jnt_axis),
-            reference=array(m.qpos0),
-            armature=array(m.dof_armature + armature),
-            damping=array(enabled(Off.mjDSBL_DAMPER, m.dof_damping + damping)),
-            stiffness=array(enabled(Off.mjDSBL_SPRING, m.jnt_stiffness)),
-            springref=array(m.qpos_spring),
-            forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
-            range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
-            params=array(np.zeros(0)),
+            placement=leaf(m.jnt_pos),
+            axis=leaf(m.jnt_axis),
+            reference=leaf(m.qpos0),
+            armature=leaf(m.dof_armature + armature),
+            damping=leaf(enabled(Off.mjDSBL_DAMPER, m.dof_damping + damping)),
+            stiffness=leaf(enabled(Off.mjDSBL_SPRING, m.jnt_stiffness)),
+            springref=leaf(m.qpos_spring),
+            forcerange=leaf(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
+            range=leaf(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
+            params=leaf(np.zeros(0)),
         ),
-        actuators=jax.tree.map(array, to_columns(affine, m.nu)),
-        geoms=geoms_of(m, array, pairs if contacts else None),
-        tendons=tendons_of(m, array),
+        actuators=jax.tree.map(leaf, to_columns(affine, m.nu)),
+        geoms=geoms_of(m, leaf, pairs if contacts else None),
+        tendons=tendons_of(m, leaf),
         solver=solver,
         contact="mujoco" if contacts else None,
-        sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
-        keyframes=_keyframes(m, array),
-        gravity=array(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),
+        sites=Sites(position=leaf(m.site_pos), orientation=leaf(m.site_quat)),
+        keyframes=_keyframes(m),
+        gravity=leaf(enabled(Off.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
@@ -283,10 +288,10 @@ def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
+def _keyframes(m: mujoco.MjModel) -> Keyframes:
     states = key_states(m)
-    x = array(states) if states.shape[1] else None
-    return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
+    x = leaf(states) if states.shape[1] else None
+    return Keyframes(q=leaf(m.key_qpos), v=leaf(m.key_qvel), ctrl=leaf(m.key_ctrl), x=x)
 
 
 def geoms_of(m: mujoco.MjModel, array: Callable, kept: list[int] | None = None) -> Geoms:

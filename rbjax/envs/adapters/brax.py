@@ -281,6 +281,7 @@ def _adapt_trainers() -> None:
     ppo = vars(importlib.import_module("brax.training.agents.ppo.train"))
     acting = ppo["acting"]
     ppo["acting"] = types.SimpleNamespace(**vars(acting) | {"Evaluator": _evaluator(acting)})
+    ppo["_unpmap"] = _first_copy
     if hasattr(jax, "device_put_replicated"):
         return
 
@@ -309,6 +310,15 @@ def _evaluator(acting: types.ModuleType) -> type:
     return Evaluator
 
 
+def _first_copy(tree: Any) -> Any:
+    """Return what the first device has, on the host.
+
+    Brax slices each array on the device, which compiles a program for each shape, and the types of
+    the parameters differ before and after an epoch, so that the evaluation is compiled twice.
+    """
+    return jax.tree.map(lambda x: np.asarray(x.addressable_shards[0].data)[0], tree)
+
+
 def _sharding(devices: Any, *axes: str) -> Any:
     mesh = jax.sharding.Mesh(np.array(devices), ("i",))
     return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes))
@@ -321,8 +331,7 @@ def _replicated(tree: Any, devices: Any) -> Any:
     """
 
     def leaf(x: Any) -> jax.Array:
-        x = jnp.asarray(x)
-        x = jnp.broadcast_to(x.astype(x.dtype), (len(devices), *x.shape))
-        return jax.device_put(x, _sharding(devices, "i"))
+        x = np.asarray(x)  # on the host, where no shape needs a program
+        return jax.device_put(np.broadcast_to(x, (len(devices), *x.shape)), _sharding(devices, "i"))
 
     return jax.tree.map(leaf, tree)

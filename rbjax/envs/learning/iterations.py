@@ -8,16 +8,15 @@ at a limit of time. On several devices each has a part of the samples (`shard_ma
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from rbjax.arguments import instance
 from rbjax.compiler import fast_compile
@@ -109,26 +108,32 @@ def run_iterations(
     quick = devices[0].platform == "gpu" and iterations < OPTIMISED_FROM
     jit: Any = functools.partial(jax.jit, compiler_options=UNMEASURED if quick else None)
     length = -(-iterations // chunks)
+    mesh = Mesh(np.array(devices), (AXIS,))
+    placed = jax.tree.map(lambda axes: NamedSharding(mesh, axes), layout)
 
     def several(state: Any, numbers: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
         return jax.lax.scan(turn, state, numbers)
 
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(fast_compile(quick))
-        if len(devices) > 1:
-            mesh = Mesh(np.array(devices), (AXIS,))
-            shard = functools.partial(jax.shard_map, mesh=mesh, check_vma=False)
-            begin = shard(begin, in_specs=SAME, out_specs=layout)
-            several = shard(several, in_specs=(layout, SAME), out_specs=(layout, SAME))
-        else:
-            stack.enter_context(jax.default_device(devices[0]))
-        state = jit(begin)(*given)
-        run = jit(several)
+    if len(devices) > 1:
+        shard = functools.partial(jax.shard_map, mesh=mesh, check_vma=False)
+        begin = shard(begin, in_specs=SAME, out_specs=layout)
+        several = shard(several, in_specs=(layout, SAME), out_specs=(layout, SAME))
+    run = jit(several, in_shardings=(placed, NamedSharding(mesh, SAME)))
+    with fast_compile(quick), ThreadPoolExecutor(1) as aside:
+        first = jit(begin, out_shardings=placed).lower(*given)
+        # XLA compiles `begin` while Python traces `several`
+        compiled = aside.submit(first.compile)
+        numbers = np.arange(length)
+        program = run.lower(first.out_info, numbers).compile()
+        state = compiled.result()(*given)
         rows: list[dict[str, np.ndarray]] = []
         done = 0
         while done < iterations:
             last = min(done + length, iterations)
-            state, figures = run(state, jnp.arange(done, last))
+            if last - done < len(numbers):
+                program = run.lower(state, numbers[: last - done]).compile()
+            numbers = np.arange(done, last)
+            state, figures = program(state, numbers)
             rows.append(jax.tree.map(np.asarray, figures))
             done = last
             report(done, state, rows[-1])

@@ -10,6 +10,7 @@ Sources: Schulman et al., *Proximal policy optimization algorithms*, 2017; Freem
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import time
@@ -125,6 +126,7 @@ def ppo(
     if isinstance(groups, dict) and "privileged_state" in groups:
         critic_group = "privileged_state"
     factory = functools.partial(
+        with_compiled_starts,
         make_ppo_networks,
         policy_hidden_layer_sizes=policy_hidden,
         value_hidden_layer_sizes=value_hidden,
@@ -148,7 +150,8 @@ def ppo(
         if seconds is not None and done and time.perf_counter() - began > seconds:
             raise TimeIsUp
 
-    seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
+    words = np.asarray(jax.random.key_data(key)).ravel()
+    seed = int(np.random.SeedSequence(words.tolist()).generate_state(1)[0] >> 1)  # 31 bits
     try:
         _, parameters, _ = brax_train(
             environment=brax_env, wrap_env_fn=wrap_brax, num_timesteps=steps,
@@ -164,6 +167,18 @@ def ppo(
         pass
     policy, critic = convert()
     return Trained(policy, critic, np.asarray(rewards), jnp.zeros((), int))
+
+
+def with_compiled_starts(make: Callable, *args: Any, **settings: Any) -> Any:
+    """Return the networks of Brax that `make` makes, whose initial parameters are one program.
+
+    Brax draws them operation by operation, each a program of its own, which takes seconds.
+    """
+    made = make(*args, **settings)
+    names = ("policy_network", "value_network")
+    nets = {name: getattr(made, name) for name in names}
+    compiled = {n: dataclasses.replace(net, init=jax.jit(net.init)) for n, net in nets.items()}
+    return dataclasses.replace(made, **compiled)
 
 
 def figures_of(metrics: Mapping[str, Any]) -> dict[str, float]:

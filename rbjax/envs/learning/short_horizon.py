@@ -163,14 +163,21 @@ def shac(
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
     params = env.default_params if params is None else params
-    key, one, two = jax.random.split(key, 3)
-    policy = new_policy(env, one, hidden, std=std) if policy is None else policy
-    policy = as_policy(where, env, policy)
-    critic = new_critic(env, two, hidden) if critic is None else critic
+
+    policy = None if policy is None else as_policy(where, env, policy)
+
+    def networks(given: tuple, key: jax.Array) -> tuple:
+        key, one, two = jax.random.split(key, 3)
+        policy, critic = given
+        policy = new_policy(env, one, hidden, std=std) if policy is None else policy
+        return (policy, new_critic(env, two, hidden) if critic is None else critic), key
+
+    made, _ = eqx.filter_eval_shape(networks, (policy, critic), key)
+    static = eqx.filter(made, lambda x: not isinstance(x, jax.ShapeDtypeStruct))
+    arrays, rest_of_given = eqx.partition((policy, critic), eqx.is_array)
     if optimiser is None:
         optimiser = policy_optimiser(rate, iterations, max_grad_norm)
     fitter = optax.flatten(optax.adam(falling_rate(critic_rate, iterations * max(1, critic_steps))))
-    given, static = eqx.partition((policy, critic), eqx.is_array)
 
     def params_at(k: jax.Array) -> Any:
         return at_progress(env, params, k / iterations)
@@ -209,10 +216,10 @@ def shac(
         )
         return after, {name: parts * mean(x) for name, x in figures_of(path, parts).items()}
 
-    def begin(policy: Any, critic: Any, key: jax.Array) -> Training:
+    def begin(arrays: Any, key: jax.Array) -> Training:
+        learned, key = networks(eqx.combine(arrays, rest_of_given), key)
         one, two = jax.random.split(key)
         samples = draw_samples(env, own_key(one), batch // parts, params_at(jnp.asarray(0)))
-        learned = eqx.combine((policy, critic), static)
         policy, critic = (part.include(samples.obs, mean, parts) for part in learned)
         optimiser_state = optimiser.init(split_policy(policy)[0])
         arrays = eqx.filter((policy, critic, critic), eqx.is_array)
@@ -227,7 +234,7 @@ def shac(
         report(done * batch * horizon, summary_of(figures), policy)
 
     last, figures = run_iterations(
-        turn, begin, (*given, key), iterations, layout=LAYOUT, devices=where_to_run,
+        turn, begin, (arrays, key), iterations, layout=LAYOUT, devices=where_to_run,
         chunks=reports, report=report_chunk, seconds=seconds,
     )  # fmt: skip
     policy, critic = eqx.combine((last.policy, last.critic), static)

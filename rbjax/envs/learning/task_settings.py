@@ -31,6 +31,11 @@ CONTROL_SUITE = {
     "learning_rate": 1e-3, "entropy_cost": 1e-2, "reward_scaling": 10.0, "max_grad_norm": None,
     "policy_hidden": (32,) * 4, "value_hidden": (256,) * 5,
 }  # fmt: skip
+#: three seeds swing the cart-pole up (a return of 800) after 6.1 million steps
+SWING_UP_PPO = CONTROL_SUITE | {
+    "steps": 20_000_000, "num_envs": 512, "batch_size": 256, "entropy_cost": 3e-2,
+    "reward_scaling": 1.0, "policy_hidden": (32, 32), "value_hidden": (128, 128, 128),
+}  # fmt: skip
 GO1 = {
     "steps": 200_000_000, "num_envs": 8192, "unroll_length": 20, "batch_size": 256,
     "num_minibatches": 32, "num_updates_per_batch": 4, "discounting": 0.97, "learning_rate": 3e-4,
@@ -67,7 +72,8 @@ CART_POLE_SHAC = {
     "steps": 1_000_000, "batch": 128, "horizon": 16, "rate": 1e-2, "discount": 0.98, "std": 0.2,
     "hidden": (32, 16),
 }  # fmt: skip
-
+#: three seeds swing the cart-pole up after 640,000 steps
+SWING_UP_SHAC = CART_POLE_SHAC | {"rate": 2e-2}
 GO1_SMOOTH_SHAC = {
     "steps": 3_000_000, "batch": 64, "rate": 2e-3, "critic_rate": 1e-3, "target_rate": 0.8,
     "std": 0.37, "hidden": (128, 64, 32),
@@ -88,7 +94,7 @@ LEGS_SHAC = {
 
 TASKS: dict[str, dict[str, Mapping[str, Any]]] = {
     "cart_pole_balance": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
-    "cart_pole_swing_up": {"ppo": CONTROL_SUITE, "ppo cpu": CPU_PPO, "shac": CART_POLE_SHAC},
+    "cart_pole_swing_up": {"ppo": SWING_UP_PPO, "ppo cpu": CPU_PPO, "shac": SWING_UP_SHAC},
     "go1_joystick_flat": {"ppo": GO1, "shac": LEGS_SHAC},
     "go1_joystick_rough": {"ppo": GO1, "shac": LEGS_SHAC},
     "go1_joystick_smooth": {"ppo": GO1, "shac": GO1_SMOOTH_SHAC, "shac cpu": {}},

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from rbjax.errors import ModelError
 from rbjax.model.solver_parameters import SOLREF
 
 #: flags by which a file disables features
@@ -50,8 +50,23 @@ def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, .
 
 
 def leaf(x: Any) -> jax.Array:
-    """Convert numbers to a leaf of a model."""
-    return jnp.asarray(np.asarray(x, np.float64))
+    """Convert numbers of a file to an array of JAX's default dtype.
+
+    It puts them on the device. `jnp.asarray` compiles a program for each shape.
+
+    Raises:
+        ModelError: a finite number is too large for the dtype.
+    """
+    x = np.asarray(x, np.float64)
+    with np.errstate(over="ignore"):
+        out = x.astype(jax.dtypes.canonicalize_dtype(x.dtype))
+    lost = np.isfinite(x) & ~np.isfinite(out)
+    if lost.any():
+        raise ModelError(
+            f"the file has the number {x[lost][0]}, which is too large for {out.dtype}; correct "
+            "it, or enable float64: jax.config.update('jax_enable_x64', True)"
+        )
+    return jax.device_put(out)
 
 
 #: part of a MuJoCo message -> the fix

@@ -18,8 +18,6 @@ the fluid forces of its inertia box.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -162,22 +160,22 @@ def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
     shaped = m.geom_fluid[:, 0] > 0
     boxes = np.flatnonzero(moving & ~np.isin(np.arange(m.nbody), m.geom_bodyid[shaped])).tolist()
     geoms = np.flatnonzero(moving[m.geom_bodyid] & shaped).tolist()
-    wind = jnp.asarray(m.opt.wind)
+    wind = leaf(m.opt.wind)
     if boxes:
-        orientation = _rows([inertial_frame(m, b)[1] for b in boxes])
-        medium = jnp.asarray(max(rho, 0.0)), jnp.asarray(max(mu, 0.0))
+        orientation = leaf([inertial_frame(m, b)[1] for b in boxes])
+        medium = leaf(max(rho, 0.0)), leaf(max(mu, 0.0))
         out.append(InertiaBoxFluid(*medium, wind, orientation, tuple(b - 1 for b in boxes)))
     if geoms:
         frames = [_geom_frame(m, g) for g in geoms]
-        fluid = jnp.asarray(m.geom_fluid[geoms])
+        fluid = leaf(m.geom_fluid[geoms])
         out.append(
             EllipsoidFluid(
-                density=jnp.asarray(rho),
-                viscosity=jnp.asarray(mu),
+                density=leaf(rho),
+                viscosity=leaf(mu),
                 wind=wind,
-                semi_axes=_rows([_semi_axes(m, g) for g in geoms]),
-                position=_rows([p for p, _ in frames]),
-                orientation=_rows([q for _, q in frames]),
+                semi_axes=leaf([_semi_axes(m, g) for g in geoms]),
+                position=leaf([p for p, _ in frames]),
+                orientation=leaf([q for _, q in frames]),
                 blunt_drag=fluid[:, 1],
                 slender_drag=fluid[:, 2],
                 angular_drag=fluid[:, 3],
@@ -190,10 +188,6 @@ def fluid_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
             )
         )
     return tuple(out)
-
-
-def _rows(rows: list[Array]) -> Any:
-    return jnp.asarray(np.array(rows, np.float64))
 
 
 def _semi_axes(m: mujoco.MjModel, g: int) -> Array:
