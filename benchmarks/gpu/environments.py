@@ -112,7 +112,7 @@ def bench(text: str, batch: int, steps: int, parts: tuple[str, ...]) -> list[dic
         count = held.shape[1]
         return rb.rollout(
             task.model, state, held, task.dt or task.model.timestep, steps=count,
-            save_every=count, integrator=task.integrator,
+            save_every=count, integrator=task.integrator, contact=task.contact,
         ).q[:, -1]  # fmt: skip
 
     programs: dict[str, tuple] = {

@@ -10,8 +10,9 @@ H100, H200, CPU = "nvidia-h100-80gb-hbm3", "nvidia-h200", "amd-epyc"
 
 def _rate(task: str, what: str = "step") -> Number:
     """Millions of control steps a second of 8,192 robots."""
-    file, where = f"gpu-environments-{H100}", {"task": task, "what": what, "batch": 8192}
-    return Number(file, "M/s", where, digits=2)
+    where = {"task": task, "what": what, "batch": 8192}
+    device = H100 if what == "unroll" else H200
+    return Number(f"gpu-environments-{device}", "M/s", where, digits=2)
 
 
 def _share(task: str) -> Ratio:
@@ -25,7 +26,7 @@ def _swing_up(algorithm: str, column: str = "steps") -> Number:
     def first(row: measured.Row) -> float:
         return min(report[column] for report in row["curve"] if report["reward"] >= 800)
 
-    return Number(f"training-cart-pole-swing-up-{algorithm}-{H100}", first, digits=2)
+    return Number(f"training-cart-pole-swing-up-{algorithm}-{H200}", first, digits=2)
 
 
 def _trained(task: str, algorithm: str, device: str, column: str = "return") -> Number:
@@ -49,12 +50,17 @@ FIGURES: dict[str, Figure] = {
     "envs.panda": _rate("panda_pick_cube"),
     "envs.cart-pole": _rate("cart_pole_balance"),
     "envs.cart-pole.unrolled": _rate("cart_pole_balance", "unroll"),
+    "envs.go1.one": _rate("go1_joystick_flat:iterations=1"),
+    "envs.g1.three": _rate("g1_joystick:iterations=3"),
+    "envs.panda.physics": Number(
+        f"gpu-environments-{H200}",
+        "physics M/s",
+        {"task": "panda_pick_cube", "what": "rollout", "batch": 8192},
+        digits=2,
+    ),
     "envs.go1.share": _share("go1_joystick_flat"),
     "envs.g1.share": _share("g1_joystick"),
     "envs.panda.share": _share("panda_pick_cube"),
-    "envs.cart-pole.unroll": Ratio(
-        _rate("cart_pole_balance", "unroll"), _rate("cart_pole_balance"), 2
-    ),
     "training.steps-ratio": Ratio(_swing_up("ppo"), _swing_up("shac"), 2),
     "training.swing-up.ppo.seconds": _swing_up("ppo", "seconds"),
     "training.swing-up.shac.seconds": _swing_up("shac", "seconds"),
@@ -63,7 +69,7 @@ FIGURES: dict[str, Figure] = {
     ),
     "training.go1.ppo.seconds": _trained("go1-joystick-flat", "ppo", H100, "seconds"),
     "training.g1.ppo.seconds": _trained("g1-joystick", "ppo", H100, "seconds"),
-    "training.panda.ppo.seconds": _trained("panda-pick-cube", "ppo", H100, "seconds"),
+    "training.panda.ppo.seconds": _trained("panda-pick-cube", "ppo", H200, "seconds"),
     "training.hopper.shac": _trained("hopper-run", "shac", H200),
     "training.hopper.shac.steps": _trained("hopper-run", "shac", H200, "steps"),
     "training.hopper.ppo": _trained("hopper-run", "ppo", H200),

@@ -6,7 +6,7 @@ from docs.generate.subjects.tables import Pivot, Table
 
 TABLES = {
     "environments": Pivot(
-        ("gpu-environments-*",),
+        ("gpu-environments-nvidia-h200*", "gpu-environments-nvidia-h100*"),
         (C("task"), C("decimation", "physics steps a control step"), C("batch")),
         "what",
         C("M/s median", "million a second"),

@@ -11,15 +11,24 @@ of the IMU, with the part a along c and the part b across it.
     height    z - 0.15 m, of the trunk
     alive     1
     effort    -0.005 |action|^2
-and the terms of `go1_joystick_flat`, without "feet_height" and "stand_still", and with
-"feet_clearance" rounded off: sum of |h - 0.1| (v_xy^2 + 0.001)^(1/4). The reward of a step is the
-sum. An episode also ends if z < 0.15 m, or if z_z of the IMU is below 0.6.
+    diagonal  -2 ((t_FR - t_RL)^2 + (t_FL - t_RR)^2), with the angle t of each leg's thigh, rad,
+              and half as much of the calves: the two legs of a diagonal move alike
+    opposed   -2.4 (t_FR + t_FL + t_RR + t_RL - 4 * 0.9)^2 / 4: one diagonal swings forward while
+              the other swings back
+Without the last two the robot learns to jump with all four feet at once; with them it trots.
+
+The reward of a step is the sum of these and of the terms of `go1_joystick_flat`, without
+"feet_height" and "stand_still", and with "feet_clearance" rounded off: the sum over the feet of
+|h - 0.1| (v_xy^2 + 0.001)^(1/4). An episode also ends if z < 0.15 m, or if z_z of the IMU is below
+0.6.
 
 The curriculum of a training, at a progress p in 0..1:
     commands  until p = 0.15 all are forward, of 0.5 to 1.2 m/s; then a growing part, from p = 0.6
               on all, are those of `go1_joystick_flat`
-    weights   those of the terms of `go1_joystick_flat` but the two of tracking grow from 0.3 to 1
-              times their values there between p = 0.5 and 0.8
+    weights   those of "diagonal" and "opposed" grow from 0.25 to 1 times their values between
+              p = 0.2 and 0.7, so that the robot moves before it trots; those of the terms of
+              `go1_joystick_flat`, but for the two of tracking, grow from 0.3 to 1 times between
+              p = 0.5 and 0.8
 
 Source: Georgiev et al., *Adaptive horizon actor-critic for policy learning in contact-rich
 differentiable simulation*, 2024, whose quadruped has terms of forward speed, height and effort. The
@@ -38,19 +47,23 @@ import jax.numpy as jnp
 from rbjax.envs import terms
 from rbjax.envs.episode import Params
 from rbjax.envs.registry import register
-from rbjax.envs.suite.go1 import BODY, FEET, IMU, SWING, go1_joystick_flat
+from rbjax.envs.suite.go1 import BODY, FEET, HOME, IMU, SWING, go1_joystick_flat
 from rbjax.envs.task import Reward, Task, Variable
 from rbjax.envs.terms.frames import frame_at
 from rbjax.lanes import Lane
 
+#: coordinate of each leg's thigh; that of its calf follows it
+THIGH = {leg: 7 + 3 * i + 1 for i, leg in enumerate(FEET)}
 TRACKING = ("tracking_lin_vel", "tracking_ang_vel")
 LEFT_OUT = ("feet_clearance", "feet_height", "stand_still")
 #: least height of the trunk, m, and least z_z of the IMU
 LOW, UPRIGHT = 0.15, 0.6
 #: commands of the beginning, m/s, and the progress in which random ones replace them
 FORWARD, TURNING = (0.5, 1.2), (0.15, 0.6)
+GAIT = ("diagonal", "opposed")
 #: factor of weights at the beginning, and the progress in which it grows to 1
 WEAK, GROWING = 0.3, (0.5, 0.8)
+WEAK_GAIT, GAIT_GROWING = 0.25, (0.2, 0.7)
 
 
 @register("go1_joystick_smooth")
@@ -73,6 +86,8 @@ def go1_joystick_smooth() -> Task:
         Reward("height", lambda transition: height(transition) - LOW),
         Reward("alive", lambda transition: 1.0),
         Reward("effort", lambda transition: (transition.action**2).sum(), -0.005),
+        Reward("diagonal", diagonal, -2.0),
+        Reward("opposed", opposed, -2.4),
         Reward("feet_clearance", clearance, -2.0),
     )
     kept = [r for r in task.rewards if r.name not in LEFT_OUT]
@@ -118,7 +133,7 @@ def mixed(command: Variable) -> Variable:
 def at(params: Params, progress: Any, growing: Sequence[str]) -> Params:
     """Return the parameters at a progress in 0..1 of the training.
 
-    growing: names of the rewards whose weights grow.
+    growing: names of the rewards of `go1_joystick_flat` whose weights grow.
     """
 
     def share(begin: float, end: float) -> Any:
@@ -128,8 +143,9 @@ def at(params: Params, progress: Any, growing: Sequence[str]) -> Params:
         return jnp.asarray(x, old.dtype)
 
     mix = like(share(*TURNING), params.values["command_mix"])
-    factor = WEAK + (1 - WEAK) * share(*GROWING)
-    weights = {name: like(factor * params.weights[name], params.weights[name]) for name in growing}
+    factors = dict.fromkeys(growing, WEAK + (1 - WEAK) * share(*GROWING))
+    factors |= dict.fromkeys(GAIT, WEAK_GAIT + (1 - WEAK_GAIT) * share(*GAIT_GROWING))
+    weights = {n: like(x * params.weights[n], params.weights[n]) for n, x in factors.items()}
     return params.replace(
         values={**params.values, "command_mix": mix}, weights={**params.weights, **weights}
     )
@@ -163,6 +179,21 @@ def turn(transition: Any) -> jax.Array:
 def height(transition: Any) -> Any:
     """Return the height of the trunk, m."""
     return transition.after.body(BODY).position[2]
+
+
+def diagonal(transition: Any) -> Any:
+    """Return the squared differences of thighs in a diagonal, plus half of those of calves."""
+    q, found = transition.after.q, 0.0
+    for one, other in (("FR", "RL"), ("FL", "RR")):
+        i, j = THIGH[one], THIGH[other]
+        found += (q[i] - q[j]) ** 2 + 0.5 * (q[i + 1] - q[j + 1]) ** 2
+    return found
+
+
+def opposed(transition: Any) -> Any:
+    """Return a quarter of the squared sum of the thighs' angles from home, rad^2."""
+    q = transition.after.q
+    return sum(q[i] - HOME[1] for i in THIGH.values()) ** 2 / 4
 
 
 def clearance(transition: Any) -> Any:

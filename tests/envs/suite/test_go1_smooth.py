@@ -35,6 +35,9 @@ def own_terms(robot, action, command):
     for foot in FEET:
         place, _, u, _ = robot.site(foot)
         lift += abs(place[2] - 0.1) * (u[0] ** 2 + u[1] ** 2 + 1e-3) ** 0.25
+    # legs in the order of FEET
+    thigh, calf = robot.data.qpos[8::3], robot.data.qpos[9::3]
+    alike = lambda x: (x[0] - x[3]) ** 2 + (x[1] - x[2]) ** 2  # noqa: E731
     return {
         "progress": 2 * (s - rounded(s - along)),
         "sideways": -0.3 * rounded(across),
@@ -42,6 +45,8 @@ def own_terms(robot, action, command):
         "height": robot.data.qpos[2] - 0.15,
         "alive": 1.0,
         "effort": -0.005 * action @ action,
+        "diagonal": -2 * (alike(thigh) + 0.5 * alike(calf)),
+        "opposed": -2.4 * (thigh.sum() - 4 * 0.9) ** 2 / 4,
         "feet_clearance": -2 * lift,
     }
 
@@ -99,11 +104,13 @@ def test_curriculum(env):
         np.testing.assert_allclose(command.std(0), np.array([3, 1.6, 2.4]) / 12**0.5, rtol=0.1)
     for name, weight in params.weights.items():
         first, last = early.weights[name] / weight, late.weights[name] / weight
-        # the own terms and the two of tracking keep their weights
+        # the own terms but the two of the gait, and the two of tracking, keep their weights
         own = ("progress", "sideways", "turn", "height", "alive", "effort")
+        gait = name in ("diagonal", "opposed")
         fixed = name in own or "tracking" in name
-        np.testing.assert_allclose([first, last], [1.0 if fixed else 0.3, 1.0])
-    np.testing.assert_allclose(middle.weights["pose"] / params.weights["pose"], 0.3 + 0.7 / 3)
+        np.testing.assert_allclose([first, last], [1.0 if fixed else 0.25 if gait else 0.3, 1.0])
+    for name, due in (("pose", 0.3 + 0.7 / 3), ("diagonal", 0.25 + 0.75 * 0.8)):
+        np.testing.assert_allclose(middle.weights[name] / params.weights[name], due)
 
 
 @pytest.mark.slow
