@@ -25,8 +25,8 @@ The reward of a step is the sum of these and of the terms of `go1_joystick_flat`
 The curriculum of a training, at a progress p in 0..1:
     commands  until p = 0.15 all are forward, of 0.5 to 1.2 m/s; then a growing part, from p = 0.6
               on all, are those of `go1_joystick_flat`
-    weights   those of "diagonal" and "opposed" grow from 0.25 to 1 times their values between
-              p = 0.2 and 0.7, so that the robot moves before it trots; those of the terms of
+    weights   those of "diagonal" and "opposed" grow from 0.15 to 1 times their values between
+              p = 0.15 and 0.7, so that the robot moves before it trots; those of the terms of
               `go1_joystick_flat`, but for the two of tracking, grow from 0.3 to 1 times between
               p = 0.5 and 0.8
 
@@ -63,7 +63,7 @@ FORWARD, TURNING = (0.5, 1.2), (0.15, 0.6)
 GAIT = ("diagonal", "opposed")
 #: factor of weights at the beginning, and the progress in which it grows to 1
 WEAK, GROWING = 0.3, (0.5, 0.8)
-WEAK_GAIT, GAIT_GROWING = 0.25, (0.2, 0.7)
+WEAK_GAIT, GAIT_GROWING = 0.15, (0.15, 0.7)
 
 
 @register("go1_joystick_smooth")

@@ -108,8 +108,8 @@ def test_curriculum(env):
         own = ("progress", "sideways", "turn", "height", "alive", "effort")
         gait = name in ("diagonal", "opposed")
         fixed = name in own or "tracking" in name
-        np.testing.assert_allclose([first, last], [1.0 if fixed else 0.25 if gait else 0.3, 1.0])
-    for name, due in (("pose", 0.3 + 0.7 / 3), ("diagonal", 0.25 + 0.75 * 0.8)):
+        np.testing.assert_allclose([first, last], [1.0 if fixed else 0.15 if gait else 0.3, 1.0])
+    for name, due in (("pose", 0.3 + 0.7 / 3), ("diagonal", 0.15 + 0.85 * (0.6 - 0.15) / 0.55)):
         np.testing.assert_allclose(middle.weights[name] / params.weights[name], due)
 
 
