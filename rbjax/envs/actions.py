@@ -72,7 +72,7 @@ class Direct:
 class Scaled:
     """Actions of -1 to 1 are mapped to the ranges of the controls, and clipped to them.
 
-    Controls without limits are the action itself.
+    Controls without two limits are the clipped action itself, -1 to 1.
 
     Example:
         >>> import rbjax as rb

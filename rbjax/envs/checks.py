@@ -199,14 +199,22 @@ def check_noise(task: Any, term: Any, value: jax.Array) -> None:
         )
 
 
+def floats(x: jax.Array, dtype: Any) -> jax.Array:
+    """Cast floating-point numbers to a dtype. Integers and bools stay."""
+    return x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.inexact) else x
+
+
 def number_of(task: Any, name: str, value: Any, dtype: Any) -> jax.Array:
-    """Convert an entry of `Task.values` to an array of floats, or of bools."""
+    """Convert an entry of `Task.values` to an array of floats, or of bools. A value may be
+    infinite."""
     try:
         x = jnp.asarray(value)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"task {task.name!r}: values[{name!r}] is {value!r}, expected a number or an array"
         ) from error
+    if not isinstance(x, jax.core.Tracer) and jnp.isnan(x).any():
+        raise InputError(f"task {task.name!r}: values[{name!r}] is {value!r}, expected no NaN")
     return x if x.dtype == bool else x.astype(dtype)
 
 
@@ -273,29 +281,32 @@ def check_shape(where: str, name: str, x: Any, shape: tuple[int, ...], dtype: An
     return given.astype(dtype)
 
 
-def check_params(name: str, params: Any, due: Any) -> None:
-    """Check that parameters have the structure and the shapes of the default parameters."""
+def check_params(name: str, params: Any, due: Any, what: str = "params") -> None:
+    """Check that parameters have the structure and the shapes of the default parameters.
+
+    what: the parameters, for messages.
+    """
     where = f"environment {name!r}"
     if not isinstance(params, type(due)):
         raise InputError(
-            f"{where}: params is {type(params).__name__}, expected rb.envs.Params; change "
+            f"{where}: {what} is {type(params).__name__}, expected rb.envs.Params; change "
             "env.default_params by replace"
         )
     for field in ("weights", "values"):
         names, expected = sorted(getattr(params, field)), sorted(getattr(due, field))
         if names != expected:
-            raise InputError(f"{where}: params.{field} has {names}, expected {expected}")
+            raise InputError(f"{where}: {what}.{field} has {names}, expected {expected}")
     found, _ = jax.tree_util.tree_flatten_with_path(params)
     expected_leaves, _ = jax.tree_util.tree_flatten_with_path(due)
     structures: list[Any] = [jax.tree.structure(x) for x in (params, due)]
     if structures[0] != structures[1]:
         raise InputError(
-            f"{where}: params.model is another robot than that of the task, expected its model "
-            "with changed leaves"
+            f"{where}: {what} has other leaves than the default parameters, expected numbers and "
+            "arrays in their places and the model of the task with changed leaves"
         )
     for (path, x), (_, y) in zip(found, expected_leaves, strict=True):
         if jnp.shape(x) != jnp.shape(y):
             raise InputError(
-                f"{where}: params{jax.tree_util.keystr(path)} has shape {jnp.shape(x)}, expected "
+                f"{where}: {what}{jax.tree_util.keystr(path)} has shape {jnp.shape(x)}, expected "
                 f"{jnp.shape(y)}; map over several robots by jax.vmap"
             )

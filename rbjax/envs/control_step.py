@@ -27,6 +27,7 @@ from rbjax.envs.checks import (
     check_shape,
     check_start,
     check_vector,
+    floats,
     term_of,
 )
 from rbjax.envs.episode import EnvState, Params
@@ -82,10 +83,13 @@ class ControlStep:
         task, dtype = self.task, self.dtype
         start, random, delay, variable = jax.random.split(key, 4)
         drawn = {
-            r.name: array_of(
-                f"task {task.name!r}: draw of {r.name!r}",
-                r.draw(jax.random.fold_in(random, i), params),
-            ).astype(dtype)
+            r.name: floats(
+                array_of(
+                    f"task {task.name!r}: draw of {r.name!r}",
+                    r.draw(jax.random.fold_in(random, i), params),
+                ),
+                dtype,
+            )
             for i, r in enumerate(task.randomise)
         }
         params = self.with_drawn(params, drawn, constants=False)

@@ -8,13 +8,14 @@ import pkgutil
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from rbjax.arguments import choice
+from rbjax.arguments import choice, flag
 from rbjax.envs.environment import Environment
 from rbjax.envs.task import Task
 from rbjax.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Task])
 
+SUITE = "rbjax.envs.suite"
 _TASKS: dict[str, Callable[..., Task]] = {}
 
 
@@ -44,6 +45,8 @@ def register(name: str) -> Callable[[F], F]:
         raise InputError(f'register: name is {name!r}, expected a word such as "my_task"')
 
     def add(f: F) -> F:
+        if not f.__module__.startswith(SUITE):
+            tasks()  # so that a name of the suite is known to be taken
         old = _TASKS.get(name)
         if old is not None and _origin(old) != _origin(f):
             raise InputError(f"register: {name} is the name of another task, expected a new name")
@@ -65,7 +68,7 @@ def tasks() -> dict[str, Callable[..., Task]]:
         >>> "cart_pole_balance" in rb.envs.tasks()
         True
     """
-    package = importlib.import_module("rbjax.envs.suite")
+    package = importlib.import_module(SUITE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     return dict(sorted(_TASKS.items()))
@@ -100,10 +103,13 @@ def task_function(name: Any, options: Mapping[str, Any]) -> Callable[..., Task]:
 
     Raises:
         UnknownName: no such task, or an option that it does not have.
+        InputError: a flag that is neither True nor False.
     """
     known = tasks()
     choice("task", name, known)
-    accepted = list(inspect.signature(known[name]).parameters)
-    for option in options:
-        choice(f"option of task {name!r}", option, accepted)
+    accepted = inspect.signature(known[name]).parameters
+    for option, value in options.items():
+        choice(f"option of task {name!r}", option, list(accepted))
+        if isinstance(accepted[option].default, bool):
+            flag(f"task {name!r}", option, value)
     return known[name]

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import flag, real_array
+from rbjax.arguments import flag, real_array, shown
 from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.actions import Direct
@@ -141,8 +141,9 @@ def random_scale(
 
     Args:
         name: name of the randomisation.
-        where: function of the model that returns the leaf, or a list of leaves with one common
-            factor, such as mass and inertia.
+        where: function of the model that returns the leaf, or a list of leaves with common factors,
+            such as mass (nb,) and inertia (nb, 3, 3). The first leaf is the one of the factors,
+            which scale the leading axes of the others.
         low, high: smallest and largest factor, numbers or arrays of the leaf's shape.
         each: True for independent factors of the entries of the leaf. False: all entries are at the
             same share of the way from low to high; with numbers, one factor of all entries.
@@ -155,7 +156,7 @@ def random_scale(
     """
     return Randomisation(
         name, _uniform("random_scale", name, where, low, high, each),
-        lambda model, value: _changed(model, where, lambda x: x * value),
+        lambda model, value: _changed("random_scale", name, model, where, value, jnp.multiply),
     )  # fmt: skip
 
 
@@ -166,7 +167,8 @@ def random_offset(
 
     Args:
         name: name of the randomisation.
-        where: function of the model that returns the leaf, or a list of leaves.
+        where: function of the model that returns the leaf, or a list of leaves, as in
+            `random_scale`.
         low, high: smallest and largest number, in the unit of the leaf, numbers or arrays of the
             leaf's shape.
         each: True for independent numbers of the entries of the leaf. False: all entries are at the
@@ -181,12 +183,25 @@ def random_offset(
     """
     return Randomisation(
         name, _uniform("random_offset", name, where, low, high, each),
-        lambda model, value: _changed(model, where, lambda x: x + value),
+        lambda model, value: _changed("random_offset", name, model, where, value, jnp.add),
     )  # fmt: skip
 
 
-def _changed(model: Model, where: Callable, change: Callable) -> Model:
-    return eqx.tree_at(where, model, jax.tree.map(change, where(model)))
+def _changed(
+    of: str, name: str, model: Model, where: Callable, value: Any, change: Callable
+) -> Model:
+    """Return the model with `change` of each leaf and `value`, whose axes are the leaf's first."""
+    shape = jnp.shape(value)
+
+    def one(x: jax.Array) -> jax.Array:
+        if x.shape[: len(shape)] != shape:
+            raise InputError(
+                f"{of}: the value of {name!r} has shape {shape}, expected a number or the first "
+                f"axes of {x.shape}, the shape of each leaf that changes"
+            )
+        return change(x, jnp.reshape(value, shape + (1,) * (x.ndim - len(shape))))
+
+    return eqx.tree_at(where, model, jax.tree.map(one, where(model)))
 
 
 def _uniform(
@@ -203,7 +218,13 @@ def _uniform(
         )
 
     def draw(key: jax.Array, params: Params) -> jax.Array:
-        leaf = jax.tree.leaves(where(params.model))[0]
+        leaves = jax.tree.leaves(where(params.model))
+        if not leaves or not all(eqx.is_inexact_array(x) for x in leaves):
+            raise InputError(
+                f"{of}: where of {name!r} returns {shown(where(params.model))}, expected a leaf of "
+                "the model, such as model.bodies.mass, or a list of leaves"
+            )
+        leaf = leaves[0]
         for end, x in (("low", lowest), ("high", highest)):
             if x.shape not in ((), leaf.shape):
                 raise InputError(

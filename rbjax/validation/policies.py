@@ -17,6 +17,7 @@ import numpy as np
 from mujoco import rollout
 
 from rbjax.arguments import instance, integer, random_key
+from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.batch_step import batch_keys
 from rbjax.envs.environment import Environment
 from rbjax.envs.learning.evaluation import Episodes
@@ -71,6 +72,8 @@ def evaluate_in_mujoco(
     """
     instance("evaluate_in_mujoco", "env", env, Environment, "an rb.envs.Environment")
     random_key("evaluate_in_mujoco", key)
+    instance("evaluate_in_mujoco", "mj_model", mj_model, mujoco.MjModel, "a mujoco.MjModel")
+    check_takes("evaluate_in_mujoco", "policy", policy, "obs", "key")
     integer("evaluate_in_mujoco", "episodes", episodes, least=1)
     integer("evaluate_in_mujoco", "threads", threads, least=1)
     total = env.episode if steps is None else steps

@@ -9,6 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.envs import terms
+from rbjax.errors import InputError
 from rbjax.viewer import motion_of_policy
 
 QUADRUPED = rb.load("quadruped")
@@ -41,6 +42,81 @@ def test_scale_and_offset():
     np.testing.assert_allclose(model.bodies.mass - QUADRUPED.bodies.mass, value, atol=1e-15)
     value, _ = drawn(rb.envs.random_scale("each", lambda m: m.bodies.mass, 0.9, 1.1, each=True))
     assert len(set(value.tolist())) == QUADRUPED.nb
+
+
+def test_a_factor_of_each_body_scales_its_mass_and_its_inertia():
+    factors = np.linspace(0.5, 2.0, QUADRUPED.nb)
+    both = lambda model: [model.bodies.mass, model.bodies.inertia]  # noqa: E731
+    new = rb.envs.random_scale("load", both, factors, factors).apply(QUADRUPED, factors)
+    np.testing.assert_allclose(new.bodies.mass, factors * QUADRUPED.bodies.mass)
+    due = factors[:, None, None] * np.asarray(QUADRUPED.bodies.inertia)
+    np.testing.assert_allclose(new.bodies.inertia, due)
+    scale = rb.envs.random_scale("m", lambda m: [m.bodies.mass, m.joints.damping], 0.5, 2.0)
+    with pytest.raises(InputError, match=r"the first axes of"):
+        scale.apply(QUADRUPED, factors)
+    for where in (lambda model: model.timestep, lambda model: []):
+        with pytest.raises(InputError, match="expected a leaf of the model"):
+            drawn(rb.envs.random_scale("m", where, 0.5, 2.0))
+
+
+def test_joints_of_an_arm_and_a_free_body():
+    arm = rb.load(
+        """<mujoco><worldbody>
+        <body><freejoint/><geom size="0.1"/></body>
+        <body pos="1 0 0"><joint axis="0 0 1"/><geom size="0.1" pos="0.1 0 0"/>
+          <body pos="0.2 0 0"><joint type="slide"/><geom size="0.1"/></body></body>
+        </worldbody></mujoco>"""
+    )
+    _, armature, zero = terms.joint_randomisations(
+        arm, friction=(1.0, 1.0), armature=(0.5, 0.9), zero=0.1
+    )
+    params = SimpleNamespace(model=arm)
+    assert (armature.draw(jax.random.key(0), params) < 1).tolist() == [False] * 6 + [True] * 2
+    assert (zero.draw(jax.random.key(0), params) != 0).tolist() == [False] * 7 + [True] * 2
+    ball = rb.load(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(InputError, match="no hinge and no slide"):
+        terms.joint_randomisations(ball, friction=(1, 1), armature=(1, 1), zero=0.1)
+
+
+def test_masses_and_friction_that_do_not_exist():
+    with pytest.raises(InputError, match="so that its mass stays above zero"):
+        terms.mass_randomisations(QUADRUPED, "trunk", factor=(0.9, 1.1), added=1000.0)
+    pendulum = rb.load("two_link")
+    count = 0 if pendulum.geoms is None else len(pendulum.geoms.friction)
+    for index in (-1, count):
+        with pytest.raises(InputError, match=rf"geoms has \[{index}\]"):
+            terms.set_friction("floor", [index], 0.2, 0.4).apply(pendulum, 0.3)
+
+
+def test_a_drawn_integer_stays_an_integer():
+    model, table = rb.load("cart_pole"), jnp.array([0.5, 1.0, 2.0])
+    change = rb.envs.Randomisation(
+        "which", lambda key, params: jax.random.randint(key, (), 0, 3),
+        lambda model, i: model.replace(
+            bodies=model.bodies.replace(mass=model.bodies.mass * table[i])
+        ),
+    )  # fmt: skip
+    task = rb.envs.Task(
+        "small", model, start=lambda key, params: model.random_state(key),
+        observations={"policy": (rb.envs.Observation("v", lambda to: to.after.v),)},
+        rewards=(rb.envs.Reward("mass", lambda to: to.params.model.bodies.mass.sum()),),
+        randomise=(change,), total_reward=lambda rewards, dt: sum(rewards.values()),
+    )  # fmt: skip
+    env, keys = rb.envs.Environment(task), jax.random.split(jax.random.key(0), 8)
+    _, state = jax.vmap(env.reset)(keys)
+    found = jax.vmap(env.step)(keys, state, jnp.zeros((8, 1)))[2]
+    np.testing.assert_allclose(found, table[state.drawn["which"]] * model.bodies.mass.sum())
+    assert len(set(state.drawn["which"].tolist())) == 3
+
+
+def test_flags_of_tasks():
+    with pytest.raises(InputError, match="randomise is 'False', expected True or False"):
+        rb.envs.make("park_trailer", randomise="False")
+    for speed in (-1.0, float("nan"), "fast"):
+        with pytest.raises(InputError, match="walker_walk: speed is"):
+            rb.envs.make("walker_walk", speed=speed)
 
 
 def test_randomisations_of_robots():

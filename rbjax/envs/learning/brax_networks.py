@@ -44,7 +44,8 @@ def convert_network(parameters: Mapping[str, Any], factor: float = 1.0) -> Netwo
     weights = [np.asarray(layers[name]["kernel"]).T for name in names]
     biases = [np.asarray(layers[name]["bias"]) for name in names]
     weights[-1], biases[-1] = (x * np.asarray(factor, x.dtype) for x in (weights[-1], biases[-1]))
-    return Network(*jax.device_put((tuple(weights), tuple(biases))), "silu")
+    on_device = jax.device_put((tuple(weights), tuple(biases)))
+    return Network(on_device[0], on_device[1], "silu")
 
 
 def convert_statistics(statistics: Any, group: str) -> Normaliser:

@@ -22,7 +22,7 @@ import numpy as np
 
 from rbjax.arguments import file_path, shown
 from rbjax.envs.learning.networks import ACTIVATIONS, Network, Normaliser
-from rbjax.envs.learning.policy import Policy
+from rbjax.envs.learning.policy import Policy, as_policy
 from rbjax.envs.registry import make, task_function
 from rbjax.errors import InputError
 from rbjax.optional import require
@@ -188,7 +188,8 @@ def load_policy(path: str | Path) -> tuple[Any, Policy]:
     made = Policy(
         network, statistics, arrays.get("log_std"), arrays["low"], arrays["high"], policy.squash
     )
-    return make(head["task"], **head["options"]), made
+    env = make(head["task"], **head["options"])
+    return env, as_policy("load_policy", env, made)
 
 
 def read_head(file: Path) -> dict[str, Any]:

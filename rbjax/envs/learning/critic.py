@@ -16,6 +16,7 @@ from rbjax.envs.environment import Environment
 from rbjax.envs.learning.checks import check_hidden
 from rbjax.envs.learning.networks import Normaliser, network, normaliser
 from rbjax.envs.learning.policy import critic_group, group_size
+from rbjax.errors import InputError
 from rbjax.model.record import Record
 
 GROUPS = 32  # number of groups of samples; the gradients of groups are computed in parallel
@@ -76,6 +77,17 @@ def new_critic(
     sizes = group_size(env, "critic"), *check_hidden("new_critic", hidden), 1
     net = network(key, sizes, "elu", last=0.01)
     return Critic(net, normaliser(sizes[0]) if normalise else None)
+
+
+def check_critic(where: str, env: Any, critic: Any) -> None:
+    """Raise `InputError` unless this is a `Critic` of the environment's observations."""
+    instance(where, "critic", critic, Critic, "a Critic, such as new_critic returns")
+    got, due = critic.network.sizes[0], group_size(env, "critic")
+    if got != due:
+        raise InputError(
+            f"{where}: the critic takes observations ({got},), expected ({due},), those of "
+            f"{env.task.name!r}"
+        )
 
 
 def fit_critic(

@@ -13,6 +13,7 @@ from rbjax.display import displayed
 from rbjax.dynamics.arguments import check_takes
 from rbjax.envs.batch_step import batch_step
 from rbjax.envs.environment import Environment
+from rbjax.envs.learning.policy import Policy, as_policy
 
 
 @displayed
@@ -83,6 +84,8 @@ def evaluate(
     integer("evaluate", "episodes", episodes, least=1)
     flag("evaluate", "noise", noise)
     check_takes("evaluate", "policy", policy, "obs", "key")
+    if isinstance(policy, Policy):
+        as_policy("evaluate", env, policy)
     one, two = jax.random.split(key)
 
     @jax.jit

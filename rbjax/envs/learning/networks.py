@@ -131,7 +131,7 @@ class Normaliser(Record):
 
             mean' = mean + w d,  var' = (1 - w) var + w E[(x - mean)^2] - (w d)^2,  w = m / (k + m)
         """
-        x = x.reshape(-1, x.shape[-1])
+        x = x.reshape(-1, x.shape[-1]).astype(self.mean.dtype)
         off = jnp.where(jnp.abs(x) < HUGE, x - self.mean, 0.0)
         d, square = mean((off.mean(0), (off * off).mean(0)))
         count = self.count + len(x) * parts

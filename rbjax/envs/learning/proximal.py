@@ -21,15 +21,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, integer
+from rbjax.arguments import choice, integer, real_number
 from rbjax.envs.adapters import to_brax, wrap_brax
 from rbjax.envs.learning.brax_networks import convert_critic, convert_policy
 from rbjax.envs.learning.checks import check_discount, check_hidden, check_training
 from rbjax.envs.learning.critic import Critic
+from rbjax.envs.learning.iterations import devices_of
 from rbjax.envs.learning.policy import Policy
 from rbjax.envs.learning.trained import Report, Trained, no_report
 from rbjax.errors import InputError
 from rbjax.optional import require
+
+#: arguments of Brax that `ppo` sets
+SET_HERE = (
+    "environment", "wrap_env_fn", "num_timesteps", "episode_length", "network_factory", "seed",
+    "normalize_observations", "num_evals", "num_eval_envs", "deterministic_eval", "progress_fn",
+    "policy_params_fn", "max_devices_per_host", "restore_params",
+)  # fmt: skip
 
 
 class TimeIsUp(Exception):
@@ -42,6 +50,8 @@ def ppo(
     *,
     steps: int = 20_000_000,
     num_envs: int = 2048,
+    batch_size: int = 256,
+    num_minibatches: int = 32,
     policy_hidden: tuple[int, ...] = (128, 128, 128),
     value_hidden: tuple[int, ...] = (256, 256, 256),
     discounting: float = 0.97,
@@ -65,24 +75,28 @@ def ppo(
         key: of `jax.random`.
         steps: steps of the robot in the training, at least.
         num_envs: number of parallel samples.
+        batch_size, num_minibatches: samples of a minibatch, and the number of minibatches; their
+            product is a multiple of `num_envs`.
         policy_hidden, value_hidden: sizes of the hidden layers.
         discounting: g of a step, below 1.
-        reward_scaling: factor of the rewards inside PPO.
+        reward_scaling: factor of the rewards inside PPO, above 0.
         devices: number of devices that share the samples; None for one.
-        reports: number of evaluations during the training, each with a report.
+        reports: number of evaluations during the training, each with a report. There is one more
+            before the training, after 0 steps.
         evaluations: number of episodes of an evaluation.
-        report: function (steps so far, figures, policy), called after each evaluation.
+        report: function (steps so far, figures, policy), called after each evaluation; the policy
+            of the one after 0 steps is None.
         seconds: limit of time, after which the training ends with the next report; None for none.
         params: parameters of the environment for the whole training; None for
             `env.default_params`. Brax does not apply `Task.curriculum`.
         restore: Brax' parameters of an earlier training, to continue from; None for none.
         keep: function that is given {"parameters": Brax' parameters} before each report.
         settings: further arguments of `brax.training.agents.ppo.train.train`, such as
-            `unroll_length`, `batch_size`, `num_minibatches`, `num_updates_per_batch`,
-            `learning_rate`, `entropy_cost`, `clipping_epsilon`, `max_grad_norm`.
+            `unroll_length`, `num_updates_per_batch`, `learning_rate`, `entropy_cost`,
+            `clipping_epsilon`, `max_grad_norm`.
 
     Returns:
-        `Trained`; `rewards` are the returns of the evaluations.
+        `Trained`; `rewards` are the returns of the evaluations, (reports + 1,).
 
     Raises:
         InputError: Brax is not installed, settings that do not fit each other, or a task with a
@@ -97,19 +111,23 @@ def ppo(
     """
     check_training("ppo", env, key, 1, num_envs, None, report, seconds)
     policy_hidden, value_hidden = (check_hidden("ppo", x) for x in (policy_hidden, value_hidden))
-    for name in ("batch_size", "num_minibatches"):
-        if name in settings:
-            integer("ppo", name, settings[name], least=1)
-    integer("ppo", "steps", steps, least=1)
-    integer("ppo", "reports", reports, least=1)
+    for name, count in (
+        ("batch_size", batch_size), ("num_minibatches", num_minibatches), ("steps", steps),
+        ("reports", reports), ("evaluations", evaluations),
+    ):  # fmt: skip
+        integer("ppo", name, count, least=1)
     check_discount("ppo", "discounting", discounting)
+    real_number("ppo", "reward_scaling", reward_scaling, above=0.0)
+    if "learning_rate" in settings:
+        real_number("ppo", "learning_rate", settings["learning_rate"], above=0.0)
+    where_to_run = devices_of("ppo", devices, num_envs)
     if env.task.curriculum is not None and params is None:
         raise InputError(
             f"ppo: task {env.task.name!r} has a curriculum, expected none, because Brax does not "
             "apply it; use rb.envs.learning.shac, or pass the parameters of the whole training, "
             "such as params=env.default_params"
         )
-    batch = settings.get("batch_size", 32) * settings.get("num_minibatches", 16)
+    batch = batch_size * num_minibatches
     if batch % num_envs:
         raise InputError(
             f"ppo: batch_size * num_minibatches is {batch}, expected a multiple of num_envs, "
@@ -118,7 +136,7 @@ def ppo(
     brax_env = to_brax(env, params)
     make_ppo_networks = require("ppo", "brax.training.agents.ppo.networks").make_ppo_networks
     brax_train = require("ppo", "brax.training.agents.ppo.train").train
-    known = list(inspect.signature(brax_train).parameters)
+    known = [x for x in inspect.signature(brax_train).parameters if x not in SET_HERE]
     for name in settings:
         choice("setting of PPO of Brax", name, known)
     groups = brax_env.observation_size
@@ -159,8 +177,9 @@ def ppo(
             normalize_observations=True, discounting=discounting,
             reward_scaling=reward_scaling, seed=seed, num_evals=reports + 1,
             num_eval_envs=evaluations, deterministic_eval=True, progress_fn=progress,
-            policy_params_fn=remember, max_devices_per_host=devices or 1,
-            restore_params=restore, **settings,
+            policy_params_fn=remember, max_devices_per_host=len(where_to_run),
+            restore_params=restore, batch_size=batch_size, num_minibatches=num_minibatches,
+            **settings,
         )  # fmt: skip
         last["parameters"] = parameters
     except TimeIsUp:

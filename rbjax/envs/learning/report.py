@@ -6,12 +6,13 @@ import csv
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rbjax.display import displayed
 from rbjax.envs.task_table import monitor_display
+from rbjax.errors import InputError
 from rbjax.optional import require
 from rbjax.progress import has_live_lines, progress_line
 from rbjax.style import STYLE
@@ -42,17 +43,23 @@ class Monitor:
     _display_ = monitor_display
 
     def __init__(
-        self, label: str, steps: int, folder: Path | None = None, show: bool = True
+        self, label: str, steps: int, folder: str | Path | None = None, show: bool = True
     ) -> None:
-        self.label, self.steps, self.folder, self.show = label, steps, folder, show
+        self.label, self.steps, self.show = label, steps, show
+        self.folder: Path | None = None
         self.rows: list[dict[str, float]] = []
+        self._began, self._live = time.perf_counter(), has_live_lines()
+        self._say: Callable[[str], None] = lambda text: None
         if folder is not None:
             require("Monitor", "matplotlib", "folder=None, which draws no chart")
-            folder.mkdir(parents=True, exist_ok=True)
+            self.folder = Path(folder)
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(f"Monitor: the folder {folder} cannot be made: {error}") from error
 
     def __enter__(self) -> Monitor:
         self._began = time.perf_counter()
-        self._live = has_live_lines()
         self._line = progress_line(self.label, self.show)
         self._say = self._line.__enter__()
         self._say("compiling")

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.envs.batch_step import batch_step
+from rbjax.envs.checks import check_params
 from rbjax.lanes.arrays import select
 
 
@@ -93,7 +94,11 @@ def move_samples(
 def at_progress(env: Any, params: Any, progress: Any) -> Any:
     """Return the parameters at a progress in 0..1 of the training, by the task's curriculum."""
     curriculum = env.task.curriculum
-    return params if curriculum is None else curriculum(params, progress)
+    if curriculum is None:
+        return params
+    found = curriculum(params, progress)
+    check_params(env.task.name, found, params, "the result of the curriculum")
+    return found
 
 
 def figures_of(path: Path, parts: int) -> dict[str, jax.Array]:

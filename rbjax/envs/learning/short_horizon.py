@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from rbjax.arguments import instance, integer, real_number
+from rbjax.arguments import integer, real_number
 from rbjax.envs.learning.checks import check_discount, check_training, warn_of_skipped
-from rbjax.envs.learning.critic import Critic, fit_critic, follow, new_critic, weights_of
+from rbjax.envs.learning.critic import check_critic, fit_critic, follow, new_critic, weights_of
 from rbjax.envs.learning.iterations import EACH, SAME, devices_of, over_devices, run_iterations
 from rbjax.envs.learning.policy import as_policy, new_policy, split_policy
 from rbjax.envs.learning.samples import (
@@ -158,7 +158,7 @@ def shac(
     if gradient_limit is not None:
         real_number(where, "gradient_limit", gradient_limit, above=0.0)
     if critic is not None:
-        instance(where, "critic", critic, Critic, "a Critic, such as new_critic returns")
+        check_critic(where, env, critic)
     where_to_run = devices_of(where, devices, batch)
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)

@@ -123,7 +123,8 @@ def settings(
             own has, too.
         algorithm: "ppo" or "shac".
         backend: "cpu", "gpu"; None for the present one. A CPU has few samples: 64 at a time in PPO,
-            128 in SHAC, 64 for the Go1. PPO of a legged robot only shows there that it runs.
+            128 in SHAC, 64 for `go1_joystick_smooth` and `hopper_run`. PPO of a legged robot only
+            shows there that it runs.
 
     Returns:
         Arguments of `ppo` or of `shac`, and "steps", the steps of the robot in the training.

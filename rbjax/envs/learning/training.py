@@ -97,7 +97,12 @@ def train(
     record = {"algorithm": algorithm, "seed": seed, "devices": devices, **chosen}
     folder = None if out is None else Path(out)
 
-    with Monitor(f"{name} by {algorithm}", chosen["steps"], folder, progress) as monitor:
+    arguments, total = chosen, chosen["steps"]
+    if algorithm == "shac":
+        arguments = shac_arguments(chosen)
+        total = arguments["iterations"] * arguments["batch"] * arguments["horizon"]
+
+    with Monitor(f"{name} by {algorithm}", total, folder, progress) as monitor:
 
         def report(done: int, figures: Mapping[str, float], policy: Any) -> None:
             monitor(done, figures)
@@ -107,17 +112,22 @@ def train(
         more: dict[str, Any] = {"devices": devices, "seconds": seconds, "report": report}
         key = jax.random.key(seed)
         if algorithm == "ppo":
-            trained = ppo(env, key, **chosen, **more)
+            trained = ppo(env, key, **arguments, **more)
         else:
-            trained = shac(env, key, **shac_arguments(chosen), **more)
+            trained = shac(env, key, **arguments, **more)
     return trained
 
 
+#: arguments of `shac` that `train` sets; `iterations` follows from `steps`
+SET_BY_TRAIN = ("env", "key", "iterations", "devices", "report", "seconds")
+
+
 def shac_arguments(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `shac`: iterations from the number of steps."""
+    """Return the arguments of `shac`: iterations from the number of steps, rounded to reports of
+    equal length."""
     found = dict(chosen)
-    known = list(inspect.signature(shac).parameters)
-    for name in found.keys() - {"steps"}:
+    known = ["steps", *(x for x in inspect.signature(shac).parameters if x not in SET_BY_TRAIN)]
+    for name in found:
         choice("setting of SHAC", name, known)
     batch, horizon, reports = (
         integer("train", name, found.get(name, default), least=1)
@@ -125,6 +135,6 @@ def shac_arguments(chosen: Mapping[str, Any]) -> dict[str, Any]:
     )
     per_iteration = batch * horizon
     iterations = max(1, round(found.pop("steps") / per_iteration))
-    if iterations > reports:  # reports of equal length
+    if iterations > reports:
         iterations = reports * round(iterations / reports)
-    return found | {"iterations": iterations}
+    return found | {"iterations": iterations, "batch": batch, "horizon": horizon}

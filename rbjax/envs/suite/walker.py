@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import real_number
 from rbjax.envs.registry import register
 from rbjax.envs.robot_files import robot_file
 from rbjax.envs.task import Observation, Reward, Task
@@ -95,7 +96,7 @@ def _task(name: str, speed: float | None) -> Task:
         },
         tuple(rewards),
         decimation=10,
-        values={} if speed is None else {"speed": float(speed)},
+        values={} if speed is None else {"speed": real_number(name, "speed", speed, above=0.0)},
         total_reward=total_of_walker,
         tracked="torso",
     )

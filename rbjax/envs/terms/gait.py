@@ -55,12 +55,8 @@ def gait_clock(dt: float, offsets: Sequence[float]) -> tuple[Variable, ...]:
         return jnp.asarray(list(map(float, offsets)))
 
     def advanced(key: Any, transition: Any) -> jax.Array:
-        p = (
-            transition.variables["phase"]
-            + (2 * math.pi * dt) * transition.variables["gait_rate"]
-            + math.pi
-        )
-        return jnp.where(p >= 2 * math.pi, p - 2 * math.pi, p) - math.pi
+        turned = (2 * math.pi * dt) * transition.variables["gait_rate"]
+        return jnp.mod(transition.variables["phase"] + turned + math.pi, 2 * math.pi) - math.pi
 
     return Variable("phase", start, update=advanced), Variable("gait_rate", rate)
 

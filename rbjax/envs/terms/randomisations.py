@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +17,7 @@ from rbjax.arguments import real_array, real_number, shown
 from rbjax.dynamics.arguments import check_model
 from rbjax.envs.task import Randomisation, random_offset, random_scale
 from rbjax.errors import InputError
-from rbjax.model import Model
+from rbjax.model import Model, joint_slices
 
 
 def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Randomisation:
@@ -31,7 +32,7 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
         `Randomisation`.
 
     Raises:
-        InputError: low above high, or below zero.
+        InputError: low above high, or below zero; at a reset, an index that the model lacks.
 
     Example:
         >>> import rbjax as rb
@@ -41,11 +42,11 @@ def set_friction(name: str, geoms: Sequence[int], low: float, high: float) -> Ra
     draw = _coefficient("set_friction", low, high)
 
     def apply(model: Model, value: jax.Array) -> Model:
-        assert model.geoms is not None
-        chosen = np.zeros(model.geoms.friction.shape, bool)
+        old = _coefficients("set_friction", "geoms", geoms, model, "friction")
+        chosen = np.zeros(old.shape, bool)
         chosen[list(geoms), 0] = True
-        friction = jnp.where(chosen, value, model.geoms.friction)
-        return model.replace(geoms=model.geoms.replace(friction=friction))
+        friction = jnp.where(chosen, value, old)
+        return eqx.tree_at(lambda m: m.geoms.friction, model, friction)
 
     return Randomisation(name, draw, apply)
 
@@ -62,7 +63,7 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
         `Randomisation`.
 
     Raises:
-        InputError: low above high, or below zero.
+        InputError: low above high, or below zero; at a reset, an index that the model lacks.
 
     Example:
         >>> import rbjax as rb
@@ -72,11 +73,11 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
     draw = _coefficient("set_pair_friction", low, high)
 
     def apply(model: Model, value: jax.Array) -> Model:
-        assert model.geoms is not None
-        chosen = np.zeros(model.geoms.pair_friction.shape, bool)
+        old = _coefficients("set_pair_friction", "pairs", pairs, model, "pair_friction")
+        chosen = np.zeros(old.shape, bool)
         chosen[list(pairs), :2] = True
-        friction = jnp.where(chosen, value, model.geoms.pair_friction)
-        return model.replace(geoms=model.geoms.replace(pair_friction=friction))
+        friction = jnp.where(chosen, value, old)
+        return eqx.tree_at(lambda m: m.geoms.pair_friction, model, friction)
 
     return Randomisation(name, draw, apply)
 
@@ -84,15 +85,16 @@ def set_pair_friction(name: str, pairs: Sequence[int], low: float, high: float) 
 def joint_randomisations(
     model: Model, *, friction: tuple[float, float], armature: tuple[float, float], zero: float
 ) -> tuple[Randomisation, ...]:
-    """Return the randomisations of all joints but the first, the floating base.
+    """Return the randomisations of all hinges and slides.
 
     Args:
         model: the robot.
         friction, armature: ranges of the factors of friction loss and armature of each joint.
-        zero: greatest change of the zero of each joint, rad.
+        zero: greatest change of the zero of each joint, rad or m.
 
     Raises:
-        InputError: not a model, or ranges that are not low to high.
+        InputError: not a model, a model without hinges and slides, or ranges that are not low to
+            high.
 
     Example:
         >>> import rbjax as rb
@@ -105,8 +107,13 @@ def joint_randomisations(
     check_model(where, model)
     zero = real_number(where, "zero", zero, least=0.0)
     ranges = [_range(where, *x) for x in (("friction", friction), ("armature", armature))]
-    free = model.nv - (model.nq - 7)
-    joints, coordinates = np.arange(model.nv) >= free, np.arange(model.nq) >= 7
+    joints, coordinates = np.zeros(model.nv, bool), np.zeros(model.nq, bool)
+    spans = zip(model.topology.joint_kinds, joint_slices(model.topology), strict=True)
+    for kind, span in spans:
+        if kind in ("hinge", "slide"):
+            joints[span.v] = coordinates[span.q] = True
+    if not joints.any():
+        raise InputError(f"{where}: the model has no hinge and no slide, expected at least one")
 
     def factors(limits: tuple[float, float]) -> list[np.ndarray]:
         return [np.where(joints, x, 1.0) for x in limits]
@@ -154,10 +161,11 @@ def mass_randomisations(
         model: the robot.
         body: the body that carries a load.
         factor: range of the factor of the mass of each body.
-        added: greatest absolute mass that is added to the body, kg.
+        added: greatest absolute mass that is added to the body, kg, less than its least mass.
 
     Raises:
-        InputError: not a model, or ranges that are not low to high.
+        InputError: not a model, ranges that are not low to high, or a mass that can become
+            negative.
 
     Example:
         >>> import rbjax as rb
@@ -171,10 +179,28 @@ def mass_randomisations(
     factor = _range("mass_randomisations", "factor", factor)
     limit = np.zeros(model.nb)
     limit[model.body(body)] = added
+    mass = float(model.bodies.mass[model.body(body)])
+    if added >= factor[0] * mass:
+        raise InputError(
+            f"mass_randomisations: added is {added} kg and the least mass of {body!r} is "
+            f"{factor[0] * mass:.4g} kg, expected less, so that its mass stays above zero"
+        )
     return (
         random_scale("masses", lambda m: m.bodies.mass, *factor, each=True),
         random_offset("load", lambda m: m.bodies.mass, -limit, limit, each=True),
     )
+
+
+def _coefficients(where: str, name: str, rows: Sequence[int], model: Model, leaf: str) -> jax.Array:
+    """Return coefficients of friction of a model that have these rows."""
+    found: Any = getattr(model.geoms, leaf, np.zeros((0, 3)))
+    wrong = [i for i in rows if not 0 <= i < len(found)]
+    if wrong or not len(rows):
+        raise InputError(
+            f"{where}: {name} has {wrong or 'no index'}, expected indices of 0 to "
+            f"{len(found) - 1}; the model has {len(found)} {name}"
+        )
+    return found
 
 
 def _coefficient(where: str, low: Any, high: Any) -> Callable[[Any, Any], jax.Array]:

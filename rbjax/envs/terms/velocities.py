@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from rbjax.arguments import real_number
 from rbjax.envs.terms.frames import Term, frame_at, scalar, squares, variable_of
+from rbjax.errors import InputError
 
 
 def track_velocity(frame: Any, command: str = "command", width: float = 0.25) -> Term:
@@ -38,7 +39,7 @@ def track_velocity(frame: Any, command: str = "command", width: float = 0.25) ->
     real_number("track_velocity", "width", width, above=0.0)
 
     def read(transition: Any) -> jax.Array:
-        c, v = variable_of(transition, command), frame_at(transition.after, frame).twist.lin
+        c, v = command_of(transition, command), frame_at(transition.after, frame).twist.lin
         return jnp.exp(-squares((c[0] - v[0], c[1] - v[1])) / width)
 
     return read
@@ -67,17 +68,21 @@ def track_yaw_rate(frame: Any, command: str = "command", width: float = 0.25) ->
     real_number("track_yaw_rate", "width", width, above=0.0)
 
     def read(transition: Any) -> jax.Array:
-        return jnp.exp(
-            -squares(
-                [
-                    variable_of(transition, command)[2]
-                    - frame_at(transition.after, frame).twist.ang[2]
-                ]
-            )
-            / width
-        )
+        c, w = command_of(transition, command), frame_at(transition.after, frame).twist.ang
+        return jnp.exp(-squares([c[2] - w[2]]) / width)
 
     return read
+
+
+def command_of(transition: Any, name: str) -> Any:
+    """Return a command (3,), a variable of the task."""
+    found = variable_of(transition, name)
+    if len(found) != 3:
+        raise InputError(
+            f"the variable {name!r} of the task has {len(found)} entries, expected a command of 3: "
+            "c_x, c_y in m/s, c_w in rad/s"
+        )
+    return found
 
 
 def vertical_velocity(*frames: Any) -> Term:

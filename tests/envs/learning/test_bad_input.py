@@ -195,8 +195,33 @@ def test_wrong_paths_and_tasks(saved: Path, tmp_path: Path) -> None:
         ((tmp_path, policy, None), "known names"),
         ((tmp_path, policy, TASK, {"sparce": True}), "did you mean 'sparse'"),
         ((tmp_path, policy, TASK, 3), "options is 3"),
-        ((tmp_path, policy, TASK, {"sparse": environment}), "not plain data"),
+        ((tmp_path, policy, TASK, {"sparse": environment}), "expected True or False"),
+        ((tmp_path, policy, "walker_run", {"speed": environment}), "not plain data"),
     ):
         with pytest.raises(RbjaxError, match=part):
             save_policy(*given)
     assert not list(tmp_path.iterdir())
+
+
+def test_policies_and_critics_of_another_task(tmp_path: Path) -> None:
+    other = rb.envs.make(TASK)
+    policy, critic = new_policy(other, KEY, (3,)), new_critic(other, KEY, (3,))
+    with pytest.raises(InputError, match="evaluate: the policy"):
+        evaluate(ENV, policy, KEY, 2)
+    with pytest.raises(InputError, match=r"shac: the critic takes observations \(5,\)"):
+        shac(ENV, KEY, critic=critic, iterations=1, batch=2, horizon=2)
+    folder = save_policy(tmp_path / "other", policy, "hopper_run")
+    with pytest.raises(InputError, match="load_policy: the policy fails for an observation"):
+        load_policy(folder)
+
+
+def test_names_that_train_sets() -> None:
+    for changes in ({"iterations": 2}, {"report": print}, {"key": KEY}):
+        with pytest.raises(RbjaxError, match="unknown setting of SHAC"):
+            train(TASK, "shac", steps=16, batch=4, horizon=4, progress=False, **changes)
+
+
+def test_a_curriculum_without_a_result() -> None:
+    forgetful = environment(curriculum=lambda params, progress: None)
+    with pytest.raises(InputError, match="the result of the curriculum is NoneType"):
+        shac(forgetful, KEY, iterations=1, batch=2, horizon=2, hidden=(2,))

@@ -82,6 +82,13 @@ def test_running_statistics_are_those_of_all_observations():
     assert (now(now.mean + 1e6) == 10.0).all()
 
 
+def test_statistics_keep_their_dtype():
+    """A policy that was trained in f32 sees observations in f64."""
+    before = jax.tree.map(lambda x: x.astype(jnp.float32), normaliser(2))
+    after = before.include(jnp.ones((3, 2), jnp.float64))
+    assert [x.dtype for x in jax.tree.leaves(after)] == [jnp.float32] * 3
+
+
 def test_statistics_of_one_observation_and_of_huge_ones():
     """One observation has no deviation: it stays 1. A huge entry counts as the mean."""
     one = normaliser(1).include(jnp.array([[5.0]]))

@@ -1,5 +1,7 @@
 """PPO by Brax: its networks become policies of rbjax with the same actions; a small training."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from rbjax.envs import Observation
 from rbjax.envs.learning import ppo
 from rbjax.envs.learning.brax_networks import convert_critic
-from rbjax.errors import InputError
+from rbjax.errors import InputError, RbjaxError
 from tests.envs.learning.pole import KEY, environment, observe
 
 pytest.importorskip("brax")
@@ -62,11 +64,24 @@ def test_the_policy_and_the_critic_are_those_of_brax(caplog):
     assert found.rewards.shape == (3,) and np.isfinite(found.rewards).all()
 
 
+def test_the_defaults_fit_each_other():
+    given = {name: x.default for name, x in inspect.signature(ppo).parameters.items()}
+    assert given["batch_size"] * given["num_minibatches"] % given["num_envs"] == 0
+
+
 def test_bad_input():
     with pytest.raises(InputError, match=r"batch_size \* num_minibatches is 16"):
         ppo(environment(), KEY, **SMALL | {"num_envs": 5})
     with pytest.raises(InputError, match="factor 1 - discounting"):
         ppo(environment(), KEY, discounting=1, **SMALL)
+    for changes, part in (
+        ({"reward_scaling": -1.0}, "reward_scaling is"), ({"evaluations": 0}, "evaluations is"),
+        ({"learning_rate": np.nan}, "learning_rate is"), ({"devices": 1000}, "devices is 1000"),
+        ({"num_timesteps": 5}, "unknown setting"), ({"seed": 5}, "unknown setting"),
+        ({"num_minibatches": 0}, "num_minibatches is"),
+    ):  # fmt: skip
+        with pytest.raises(RbjaxError, match=part):
+            ppo(environment(), KEY, **SMALL | changes)
     harder = environment(curriculum=lambda params, progress: params)
     with pytest.raises(InputError, match=r"has a curriculum.*learning\.shac"):
         ppo(harder, KEY, **SMALL)

@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+import rbjax as rb
 from rbjax.envs import terms
+from rbjax.errors import InputError
 
 PARAMS = SimpleNamespace(values={
     "command_range": jnp.array([1.5, 0.8, 1.2]), "command_on": jnp.array([0.9, 0.25, 0.5]),
@@ -64,3 +67,15 @@ def test_periodic_commands():
     assert abs(zero.mean() - 0.1) < 0.03
     assert (c >= [-1.0, -0.5, -1.0]).all() and (c <= [1.0, 0.5, 2.0]).all()
     assert np.allclose(c[~zero].mean(0), [0, 0, 0.5], atol=0.1)
+
+
+def test_a_command_of_two_entries():
+    model = rb.load("quadruped")
+    task = rb.envs.Task(
+        "small", model, start=lambda key, params: model.default_state(),
+        observations={"policy": (rb.envs.Observation("v", lambda to: to.after.v),)},
+        rewards=(rb.envs.Reward("turn", terms.track_yaw_rate("trunk")),),
+        variables=(rb.envs.Variable("command", lambda key, params: jnp.zeros(2)),),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="'command' of the task has 2 entries"):
+        rb.envs.Environment(task)

@@ -19,6 +19,16 @@ def test_height_of_phase():
     np.testing.assert_allclose(slope(p[jnp.array([0, 2])] + 1e-9), [0, 0], atol=1e-8)
 
 
+def test_a_clock_that_runs_backwards():
+    phase, _ = terms.gait_clock(0.02, (0.0, np.pi))
+    p = jnp.array([0.0, np.pi])
+    for k in range(1, 200):
+        p = phase.update(None, SimpleNamespace(variables={"phase": p, "gait_rate": -1.5}))
+        due = np.array([0, np.pi]) - 2 * np.pi * 1.5 * 0.02 * k
+        np.testing.assert_allclose(np.exp(1j * np.asarray(p)), np.exp(1j * due), atol=1e-12)
+        assert (p >= -np.pi).all() and (p <= np.pi).all()
+
+
 def test_the_clock_keeps_its_rate():
     phase, rate = terms.gait_clock(0.02, (0.0, np.pi))
     params = SimpleNamespace(values={"gait_rate": jnp.array([1.25, 1.5])})
