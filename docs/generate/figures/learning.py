@@ -37,6 +37,11 @@ def _trained(task: str, algorithm: str, device: str, column: str = "return") -> 
     return Number(file, lambda row: measured.evaluation(row)["return"])
 
 
+def _gait(legs: str) -> Number:
+    """The correlation of the thighs of these legs of a Go1 that walks forward."""
+    return Number("gait-go1-joystick-smooth-amd-epyc", legs, {"command": "forward"}, digits=2)
+
+
 def _policy(task: str, trained: str, physics: str, options: str = "") -> Number:
     """The return of a saved policy."""
     where = {"task": task, "trained_with": trained, "physics": physics, "options": options}
@@ -77,6 +82,8 @@ FIGURES: dict[str, Figure] = {
     "training.go1.shac": _trained("go1-joystick-smooth", "shac", CPU),
     "training.go1.shac.steps": _trained("go1-joystick-smooth", "shac", CPU, "steps"),
     "training.go1.shac.core-seconds": _trained("go1-joystick-smooth", "shac", CPU, "core_seconds"),
+    "gait.diagonal": _gait("diagonal"),
+    "gait.neighbours": _gait("neighbours"),
     "training.go1.ppo": _trained("go1-joystick-flat", "ppo", H100),
     "policy.go1": _policy("go1_joystick_flat", "", "rbjax"),
     "policy.go1.mujoco": _policy("go1_joystick_flat", "", "MuJoCo C"),
