@@ -116,6 +116,11 @@ def check_static(where: str, kind: str, value: Any) -> None:
     advances = kind in ("dynamics", "contact") and hasattr(value, "advance_velocity")
     if kind == "constraints" and isinstance(value, Hashable):
         return
+    if kind == "contact" and not (callable(value) or advances):
+        raise InputError(
+            f"{where}: contact is {type(value).__name__}, expected a name or a law; "
+            "CompliantContact is a force element: model.replace(contact=None).with_forces(...)"
+        )
     if not (callable(value) or advances) or not isinstance(value, Hashable):
         raise InputError(
             f"{where}: {kind} is {type(value).__name__}, expected "

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 
-from rbjax.model.record import Record
+from rbjax.model.record import Record, check_order
 
 
 class Bodies(Record):
@@ -50,6 +52,17 @@ class Joints(Record):
     forcerange: jax.Array
     range: jax.Array
     params: jax.Array
+
+    def replace(self, **changes: Any) -> Joints:
+        """Return a copy with the given fields changed. Arrays must keep their shapes.
+
+        Raises:
+            InputError: a number is not finite, or a range has its larger number first.
+        """
+        new = super().replace(**changes)
+        for name in changes.keys() & {"range", "forcerange"}:
+            check_order(f"Joints.replace({name}=...)", getattr(new, name))
+        return new
 
 
 class Actuators(Record):

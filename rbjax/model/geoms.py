@@ -120,7 +120,14 @@ class Geoms(Record):
                     f"Geoms.replace({field}=...): got {float(np.min(given))}, expected numbers of "
                     "at least 0"
                 )
-        if "size" in changes and not isinstance(new.size, jax.core.Tracer):
+        filters = changes.keys() & {"contype", "conaffinity", "excluded"}
+        if filters and "pairs" not in changes:
+            raise InputError(
+                f"Geoms.replace({min(filters)}=...): the pairs that may touch stay as they are, "
+                "so that it would have no effect; replace pairs=, too"
+            )
+        sized = changes.keys() & {"size", "types", "pairs"}
+        if sized and not isinstance(new.size, jax.core.Tracer):
             _check_sizes(new, touching)
         for field in ("solref", "pair_solref", "pair_solreffriction"):
             given = getattr(new, field)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import display
+from rbjax.arguments import shown
 from rbjax.errors import InputError, UnknownName
 
 #: arrays of up to this size are checked on the host, larger ones on their device
@@ -75,6 +76,28 @@ def check_numbers(where: str, x: Any, *, infinite: bool) -> None:
     if wrong.any():
         at = tuple(map(int, np.argwhere(np.asarray(wrong))[0]))
         raise InputError(f"{where}: got {np.asarray(x)[at]} at {list(at)}, expected finite numbers")
+
+
+def check_rows(where: str, rows: Any, count: int) -> None:
+    """Raise `InputError` unless `rows` is a tuple of indices below `count`."""
+    if not isinstance(rows, tuple) or not all(
+        isinstance(i, int | np.integer) and 0 <= i < count for i in rows
+    ):
+        raise InputError(
+            f"{where}: got {shown(rows)}, expected a tuple of indices from 0 to {count - 1}"
+        )
+
+
+def check_order(where: str, ranges: Any) -> None:
+    """Raise `InputError` if an untraced range (n, 2) has its larger number first."""
+    if isinstance(ranges, jax.core.Tracer):
+        return
+    wrong = np.flatnonzero(np.asarray(ranges[:, 0] > ranges[:, 1]))
+    if len(wrong):
+        raise InputError(
+            f"{where}: got {np.asarray(ranges)[wrong[0]].tolist()} at [{wrong[0]}], expected the "
+            "smaller number first"
+        )
 
 
 def _is_real(dtype: Any) -> bool:

@@ -10,7 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.model.record import Record
+from rbjax.arguments import choice
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_rows
+
+CONES = ("pyramidal", "elliptic")
 
 
 class SolverParameters(Record):
@@ -52,6 +56,29 @@ class SolverParameters(Record):
     limited: tuple[int, ...] = eqx.field(static=True, default=())
     rubbing: tuple[int, ...] = eqx.field(static=True, default=())
     translating: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def replace(self, **changes: Any) -> SolverParameters:
+        """Return a copy with the given fields changed. Arrays must keep their shapes.
+
+        Raises:
+            UnknownName: no such cone. InputError: a number is not finite, `impratio` is not above
+                zero, a friction loss is negative, or `limited` or `rubbing` has no such index.
+        """
+        new = super().replace(**changes)
+        choice("cone", new.cone, CONES)
+        for name, lowest in (("impratio", "above 0"), ("frictionloss", "of at least 0")):
+            given = getattr(new, name)
+            if name in changes and not isinstance(given, jax.core.Tracer):
+                least = float(np.min(given, initial=np.inf))
+                if least < 0 or (name == "impratio" and least == 0):
+                    raise InputError(
+                        f"SolverParameters.replace({name}=...): got {least}, expected numbers "
+                        f"{lowest}"
+                    )
+        for name, count in (("limited", len(new.limit_margin)), ("rubbing", len(new.frictionloss))):
+            if name in changes:
+                check_rows(f"SolverParameters.replace({name}=...)", getattr(new, name), count)
+        return new
 
     def with_joint(
         self, joint: int, body: int, dofs: slice, count: int, *, limits: bool

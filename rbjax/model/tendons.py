@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 
-from rbjax.model.record import Record
+from rbjax.errors import InputError
+from rbjax.model.record import Record, check_order, check_rows
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,36 @@ class Tendons(Record):
     limited: tuple[int, ...] = eqx.field(static=True, default=())
     rubbing: tuple[int, ...] = eqx.field(static=True, default=())
     inertial: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def replace(self, **changes: Any) -> Tendons:
+        """Return a copy with the given fields changed. Arrays must keep their shapes.
+
+        Raises:
+            InputError: a number is not finite, a range has its larger number first, a friction loss
+                or an armature is negative, or a tendon gets a limit, friction loss or armature but
+                is not in `limited`, `rubbing` or `inertial`.
+        """
+        new, count = super().replace(**changes), len(self.names)
+        for name, rows in (("range", "limited"), ("frictionloss", "rubbing"),
+                           ("armature", "inertial")):  # fmt: skip
+            where, x = f"Tendons.replace({name}=...)", getattr(new, name)
+            check_rows(f"Tendons.replace({rows}=...)", getattr(new, rows), count)
+            if name not in changes or isinstance(x, jax.core.Tracer):
+                continue
+            given = np.isfinite(x).any(-1) if name == "range" else np.asarray(x) != 0
+            if name == "range":
+                check_order(where, x)
+            elif np.any(x < 0):
+                raise InputError(f"{where}: got {float(np.min(x))}, expected numbers of at least 0")
+            missing = [i for i in np.flatnonzero(given).tolist() if i not in getattr(new, rows)]
+            if missing:
+                raise InputError(
+                    f"{where}: tendons {missing} are not in {rows}={getattr(new, rows)}, so that "
+                    f"it would have no effect; replace {rows}=, too"
+                )
+        if "forcerange" in changes:
+            check_order("Tendons.replace(forcerange=...)", new.forcerange)
+        return new
 
     def first_coefficient(self, tendon: int) -> int:
         """Return the index of the first coefficient of a tendon."""

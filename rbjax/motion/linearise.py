@@ -139,7 +139,11 @@ def linearise(
 
     zero = _zero(model, state, given)
     after = advance(*zero)
-    A, B = jax.jacfwd(lambda *d: box_minus(model, after, advance(*d)), (0, 1))(*zero)
+    # not by `jacfwd`, whose `vmap` would solve a contact problem for each column
+    change = jax.linearize(lambda *d: box_minus(model, after, advance(*d)), *zero)[1]
+    dx, du = (jnp.eye(len(x), dtype=x.dtype) for x in zero)
+    A = jax.vmap(lambda x: change(x, zero[1]), out_axes=-1)(dx)
+    B = jax.vmap(lambda u: change(zero[0], u), out_axes=-1)(du)
     return Linear(A, B, (after.v - state.v) / dt)
 
 

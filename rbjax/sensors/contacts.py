@@ -62,7 +62,7 @@ class ContactSensor(FixedSensor):
         largest forces; "netforce": the sum of the forces, and of the torques about their centroid,
         in world axes, in the first slot; static.
     num: the number of slots; static.
-    volume: the shape of the site; static.
+    volume: the shape of the site, which a model does not keep; None without a site; static.
     """
 
     first: Any = eqx.field(static=True, default=None)
@@ -70,7 +70,7 @@ class ContactSensor(FixedSensor):
     data: tuple[str, ...] = eqx.field(static=True, default=("found",))
     reduce: str = eqx.field(static=True, default="none")
     num: int = eqx.field(static=True, default=1)
-    volume: Volume = eqx.field(static=True, default=Volume("sphere", (0.005,)))
+    volume: Volume | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         integer("ContactSensor", "num", self.num, least=1)
@@ -95,6 +95,11 @@ class ContactSensor(FixedSensor):
             part_of(model, part)
         if self.second is not None and part_of(model, self.second)[0] == "site":
             raise InputError("ContactSensor: second is a site, expected a geom, body or subtree")
+        if self.volume is None and self.first and part_of(model, self.first)[0] == "site":
+            raise InputError(
+                "ContactSensor: first is a site and volume is None, expected a "
+                "rbjax.sensors.Volume(kind, size), the shape of the site in its file"
+            )
 
     def columns(self, model: Model) -> Columns:
         self.check(model)
@@ -176,6 +181,7 @@ class ContactSensor(FixedSensor):
         site = context.frame(Frame(site=part_of(context.model, self.first)[1]))
         points = [Vec3(*(p[k] for k in range(3))) for p in positions]
         local = [site.rotation.T @ (p - site.position) for p in points]
+        assert self.volume is not None
         return jnp.stack([jnp.asarray(self.volume.contains(p)) for p in local])
 
     def _slots(

@@ -3,13 +3,14 @@
 import re
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rbjax as rb
 from rbjax import contact
-from rbjax.errors import InputError
+from rbjax.errors import InputError, RbjaxError
 
 BALL = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.0999"><freejoint/>
   <geom type="sphere" size="0.1" mass="1"/></body></worldbody></mujoco>"""
@@ -86,3 +87,70 @@ def test_a_robot_without_joints() -> None:
     assert rb.kinetic_energy(model, jnp.zeros(0), jnp.zeros(0)) == 0
     with pytest.raises(InputError, match="no bodies"):
         rb.center_of_mass(model, jnp.zeros(0))
+
+
+HANGING = rb.load(
+    """<mujoco><worldbody><body><joint name="a" range="-1 1" axis="0 1 0" limited="true"/>
+    <geom size="0.1" pos="0.3 0 0"/><body pos="0.5 0 0"><joint name="b" axis="0 1 0"/>
+    <geom size="0.1" pos="0.3 0 0"/></body></body></worldbody>
+    <tendon><fixed name="t" range="-1 1" limited="true"><joint joint="a" coef="1"/></fixed>
+    <fixed name="s"><joint joint="b" coef="1"/></fixed></tendon></mujoco>"""
+)
+SOLVER, TENDONS, JOINTS = HANGING.solver, HANGING.tendons, HANGING.joints
+BOTH = [[-1.0, 1.0], [-1.0, 1.0]]
+PARAMETERS = {
+    "unknown cone 'eliptic'": lambda: SOLVER.replace(cone="eliptic"),
+    "impratio=...): got -1.0, expected numbers above 0": lambda: SOLVER.replace(impratio=-1.0),
+    "impratio=...): got 0.0": lambda: SOLVER.replace(impratio=0.0),
+    "frictionloss=...): got -1.0": lambda: SOLVER.replace(frictionloss=[0.0, -1.0]),
+    "limited=...): got (9,), expected a tuple of indices": lambda: SOLVER.replace(limited=(9,)),
+    "rubbing=...): got (-1,)": lambda: SOLVER.replace(rubbing=(-1,)),
+    "Joints.replace(range=...): got [1.0, -1.0] at [1]": lambda: JOINTS.replace(
+        range=[[-1.0, 1.0], [1.0, -1.0]]
+    ),
+    "tendons [1] are not in limited=(0,)": lambda: TENDONS.replace(range=BOTH),
+    "tendons [0] are not in rubbing=()": lambda: TENDONS.replace(frictionloss=[1.0, 0.0]),
+    "tendons [1] are not in inertial=()": lambda: TENDONS.replace(armature=[0.0, 1.0]),
+    "Tendons.replace(frictionloss=...): got -1.0": lambda: TENDONS.replace(
+        frictionloss=[-1.0, 0.0], rubbing=(0,)
+    ),
+    "Tendons.replace(range=...): got [1.0, -1.0] at [0]": lambda: TENDONS.replace(
+        range=[[1.0, -1.0], [-np.inf, np.inf]]
+    ),
+    "Tendons.replace(limited=...): got (2,)": lambda: TENDONS.replace(limited=(2,)),
+    "replace pairs=, too": lambda: GEOMS.replace(contype=(0, 0)),
+    "the size of the box": lambda: GEOMS.replace(types=("plane", "box")),
+    "CompliantContact is a force element": lambda: rb.acceleration(
+        MODEL,
+        STATE,
+        contact=contact.CompliantContact.of(MODEL.replace(contact=None), stiffness=1e4),
+    ),
+}
+
+
+@pytest.mark.parametrize("sentence", PARAMETERS)
+def test_parameters_of_the_solver(sentence: str) -> None:
+    with pytest.raises(RbjaxError, match=re.escape(sentence)):
+        PARAMETERS[sentence]()
+
+
+def test_changed_tendons_act() -> None:
+    """A limit that the file does not have acts if it is in `limited`, too."""
+    assert TENDONS is not None
+    state = rb.State(jnp.array([0.0, 0.5]), jnp.zeros(2))
+    limits = TENDONS.replace(range=[[-1.0, 1.0], [-0.1, 0.1]], limited=(0, 1))
+    free, held = (rb.acceleration(m, state) for m in (HANGING, HANGING.replace(tendons=limits)))
+    assert held[1] < free[1] - 1
+
+
+@pytest.mark.parametrize("law", ["mujoco", "coulomb", "impulse"])
+def test_numbers_that_are_not_finite_stay(law: str) -> None:
+    """A force that is NaN gives a motion that is NaN and no success, also without a contact."""
+    model = rb.load(BALL.replace("0.0999", "1"))
+    wind = lambda t, state: jnp.full(6, jnp.nan) * state.v  # noqa: E731
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = rb.rollout(model, model.default_state(), tau=wind, steps=3, dt=0.002, contact=law)
+    assert not path.success and path.unconverged == 3 and np.isnan(path.v[-1]).all()
+    v = jax.jit(lambda tau: rb.step(model, model.default_state(), tau=tau, contact=law).v)
+    assert np.isnan(v(jnp.full(6, jnp.nan))).all() and np.isfinite(v(jnp.zeros(6))).all()

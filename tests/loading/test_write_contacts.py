@@ -40,7 +40,7 @@ TEXTS = {
 def same(a: rb.Model, b: rb.Model) -> None:
     """The file of a excludes bodies also because b does not have the pairs of their geoms."""
     assert {*b.geoms.excluded} <= {*a.geoms.excluded}
-    b = dataclasses.replace(b, geoms=b.geoms.replace(excluded=a.geoms.excluded))
+    b = dataclasses.replace(b, geoms=dataclasses.replace(b.geoms, excluded=a.geoms.excluded))
     assert jax.tree.structure((a.solver, a.geoms)) == jax.tree.structure((b.solver, b.geoms))
     for x, y in zip(*map(jax.tree.leaves, ((a.solver, a.geoms), (b.solver, b.geoms))), strict=True):
         np.testing.assert_allclose(x, y, rtol=1e-12, atol=1e-14)

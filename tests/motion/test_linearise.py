@@ -149,3 +149,27 @@ def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str
     want = of._rates(model, state, given, 0.0, of.free_motion)
     for x, y in zip(own, want, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-10 * max(1.0, float(jnp.abs(y).max())))
+
+
+HOPPER = """<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+  <body pos="0 0 0.0999"><joint name="z" type="slide" axis="0 0 1"/>
+    <joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
+  <actuator><motor joint="z"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("law", ["mujoco", "coulomb", "impulse"])
+def test_a_step_with_a_contact(law):
+    model, dt, e = rb.load(HOPPER), 0.002, 1e-6  # small, within one face of the cone
+    state = rb.State(jnp.zeros(2), jnp.array([-0.01, 0.02]))
+    A, B = rb.linearise(model, state, jnp.zeros(1), dt=dt, contact=law)
+
+    def after(x, u):
+        found = rb.step(model, rb.State(x[:2], x[2:]), u, dt, contact=law)
+        return jnp.concatenate([found.q, found.v])
+
+    x = jnp.concatenate([state.q, state.v])
+    for k, d in enumerate(e * np.eye(4)):
+        due = (after(x + d, jnp.zeros(1)) - after(x - d, jnp.zeros(1))) / (2 * e)
+        np.testing.assert_allclose(A[:, k], due, atol=1e-5)
+    due = (after(x, jnp.full(1, e)) - after(x, jnp.full(1, -e))) / (2 * e)
+    np.testing.assert_allclose(B[:, 0], due, atol=1e-5)

@@ -52,6 +52,10 @@ PLACED = [name for name, kind in sensors.kinds().items() if kind.placed]
 
 @pytest.mark.parametrize("name", PLACED)
 def test_a_place_that_the_robot_does_not_have(name: str) -> None:
+    if name in ("touch", "insidesite"):  # their sites have shapes that a model does not keep
+        with pytest.raises(InputError, match="volume is None"):
+            sensors.sensor_of(f"{name}:nowhere")
+        return
     with pytest.raises(RbjaxError, match=r"known .*names:|expected one of") as raised:
         read(sensors.sensor_of(f"{name}:nowhere"))
     assert isinstance(raised.value, UnknownName) or name == "contact"

@@ -173,8 +173,9 @@ def solve(
     first = _start(problem)
     first = first._replace(loss=first.x) if added else first
     at = jax.lax.while_loop(lambda at: at.unfinished, turn, first)
-    damped = None if at.loss is None else at.x - at.loss
-    return Solution(at.x, at.iterations, at.error, at.residuals, damped)
+    x = jnp.where(jnp.isnan(at.error), jnp.nan, at.x)  # an error that is NaN ends the loop
+    damped = None if at.loss is None else x - at.loss
+    return Solution(x, at.iterations, at.error, at.residuals, damped)
 
 
 def factorize_at(problem: Problem, solution: Solution) -> Any:

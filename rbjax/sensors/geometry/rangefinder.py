@@ -9,7 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice
 from rbjax.contact.geometry.shapes import geom_shape, stack_shapes
+from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.lanes.arrays import select, smallest
@@ -48,6 +50,15 @@ class Rangefinder(FrameSensor):
 
     of = "m"
     data: tuple[str, ...] = eqx.field(static=True, default=("dist",))
+
+    def __check_init__(self) -> None:
+        data: Any = self.data
+        if isinstance(data, str) or not data:
+            raise InputError(
+                f"Rangefinder: data is {self.data!r}, expected a tuple of some of {list(DATA)}"
+            )
+        for part in self.data:
+            choice("data of a rangefinder", part, DATA)
 
     def columns(self, model: Model) -> Columns:
         self.check(model)

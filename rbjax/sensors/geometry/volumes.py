@@ -65,14 +65,14 @@ class VolumeSensor(FrameSensor):
     """Base class of a sensor of the volume of a site.
 
     frame: the frame of the site; static.
-    volume: its shape; static.
+    volume: its shape, which a model does not keep; static.
     """
 
     labels = ("value",)
-    volume: Volume = eqx.field(static=True, default=Volume("sphere", (0.005,)))
+    volume: Volume = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        public = "a rbjax.sensors.Volume(kind, size)"
+        public = "a rbjax.sensors.Volume(kind, size), the shape of the site in its file"
         instance(type(self).__name__, "volume", self.volume, Volume, public)
         if self.volume.kind not in KINDS:
             raise UnknownName("kind of a volume", self.volume.kind, KINDS)
