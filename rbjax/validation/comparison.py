@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -168,6 +169,12 @@ def _with_contacts(
             reports.append(report)
     touching = int((want["contacts"].sum(-1) > 0).sum())
     most = int(want["contacts"].sum(-1).max(initial=0))
+    if pairs and not touching:
+        warnings.warn(
+            f"compare: none of the {states} states of a motion of {seconds:g} s has a contact, so "
+            "no contact is compared; give a larger seconds=",
+            stacklevel=3,
+        )
     note = (
         f"States of a motion of {seconds:g} s: {touching} of {states} have contacts, {most} at "
         f"most. Errors are relative to the largest entry of a state, or to {contacts_of.FLOOR:g} "

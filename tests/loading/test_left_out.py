@@ -132,3 +132,12 @@ def test_a_number_that_the_dtype_cannot_hold_is_refused() -> None:
     body = f'<body><joint axis="0 1 0"/>{heavy}</body>'
     with jax.enable_x64(False), pytest.raises(rb.ModelError, match="too large for float32"):
         rb.load(mjcf(body))
+
+
+def test_sensors_that_the_file_switches_off():
+    with pytest.warns(UserWarning, match="switches sensors off"):
+        model = rb.load(
+            """<mujoco><option><flag sensor="disable"/></option><worldbody><body><joint name="a"/>
+            <geom size="1"/></body></worldbody><sensor><jointpos joint="a"/></sensor></mujoco>"""
+        )
+    assert any("switches sensors off" in x for x in model.dropped)

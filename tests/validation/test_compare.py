@@ -108,3 +108,8 @@ def test_bad_input() -> None:
             compare("<mujoco><worldbody/></mujoco>", contacts=contacts)
     with pytest.raises(rb.InputError, match="contacts is 1, expected True or False"):
         compare("pendulum", contacts=1)
+
+
+def test_no_contact_to_compare():
+    with pytest.warns(UserWarning, match="none of the 3 states .* has a contact"):
+        compare(DROP, states=3, seconds=0.02, contacts=True)

@@ -14,11 +14,7 @@ import mujoco
 import numpy as np
 
 from rbjax import sensors
-from rbjax.loading.mjcf.fields import (
-    inertial_frame,
-    is_off,
-    reason_left_out,
-)
+from rbjax.loading.mjcf.fields import Off, inertial_frame, is_off, is_on, reason_left_out
 from rbjax.model import Frame
 from rbjax.sensors import NamedSensor, Volume
 from rbjax.sensors.contacts import DATA as CONTACT_DATA
@@ -57,6 +53,8 @@ def read_sensors(m: mujoco.MjModel) -> tuple[tuple[NamedSensor, ...], dict[str, 
 def _changes(m: mujoco.MjModel, i: int) -> list[str]:
     """List the features of sensor i of the file that the sensor of the model does not have."""
     out = []
+    if not is_on(m, Off.mjDSBL_SENSOR):
+        out.append("the flag that switches sensors off")
     if m.sensor_delay[i] or m.sensor_interval[i].any():
         out.append("delays and intervals of sensors")
     kinds = {mujoco.mjtGeom(int(t)).name[7:].lower() for t in m.geom_type[m.geom_rgba[:, 3] != 0]}
