@@ -99,7 +99,7 @@ HANGING = rb.load(
 SOLVER, TENDONS, JOINTS = HANGING.solver, HANGING.tendons, HANGING.joints
 BOTH = [[-1.0, 1.0], [-1.0, 1.0]]
 PARAMETERS = {
-    "unknown cone 'eliptic'": lambda: SOLVER.replace(cone="eliptic"),
+    "unknown cone 'round'": lambda: SOLVER.replace(cone="round"),
     "impratio=...): got -1.0, expected numbers above 0": lambda: SOLVER.replace(impratio=-1.0),
     "impratio=...): got 0.0": lambda: SOLVER.replace(impratio=0.0),
     "frictionloss=...): got -1.0": lambda: SOLVER.replace(frictionloss=[0.0, -1.0]),

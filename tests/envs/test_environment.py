@@ -251,7 +251,7 @@ def test_wrong_arguments():
         env.reset(jax.random.key(0), params.replace(weights={}))
     with pytest.raises(rb.InputError, match=r"expected rb\.envs\.Params"):
         env.reset(jax.random.key(0), {})
-    with pytest.raises(rb.InputError, match="another robot"):
+    with pytest.raises(rb.InputError, match="the model of the task"):
         env.reset(jax.random.key(0), params.replace(model=rb.load("pendulum")))
     with pytest.raises(rb.UnknownName, match="no_such_task"):
         rb.envs.make("no_such_task")

@@ -31,6 +31,18 @@ TABLES = {
             C(lambda row: row.get("judge") or row["task"], "of the task"),
         ),
     ),
+    "gait": Table(
+        ("gait-*",),
+        (
+            C("command"),
+            C("robots", "robots that do not fall, of 16"),
+            C("asked", "asked, m/s or rad/s", 2),
+            C("reached", "reached", 2),
+            C("diagonal", "correlation of the thighs of a diagonal", 2),
+            C("neighbours", "of neighbours", 2),
+        ),
+        "python -m benchmarks.envs.gait FOLDER",
+    ),
     "policies": Table(
         ("policies-*",),
         (
