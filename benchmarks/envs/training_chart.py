@@ -53,7 +53,7 @@ def main() -> None:
                 )
             ax.set(title=title, xlabel="s, with compiling", ylabel="reward of an episode")
             ax.set_xlim(left=0)
-            ax.legend(loc="lower right")
+            ax.legend()
         figure.savefig(FIGURES / "training.png")
 
 
