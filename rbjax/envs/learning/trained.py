@@ -23,7 +23,8 @@ class Trained(Record):
 
     policy: the trained `Policy`.
     critic: the `Critic`; None if the training has none.
-    rewards: mean reward of a step over batch and horizon, (iterations,).
+    rewards: of SHAC and `through_time` the mean reward of a step over batch and horizon,
+        (iterations,); of PPO the returns of the evaluations, (reports + 1,).
     skipped: number of updates skipped because their gradients were not finite, ().
     """
 
