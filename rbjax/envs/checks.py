@@ -213,7 +213,7 @@ def number_of(task: Any, name: str, value: Any, dtype: Any) -> jax.Array:
         raise InputError(
             f"task {task.name!r}: values[{name!r}] is {value!r}, expected a number or an array"
         ) from error
-    if not isinstance(x, jax.core.Tracer) and jnp.isnan(x).any():
+    if not isinstance(x, jax.core.Tracer) and np.isnan(x).any():
         raise InputError(f"task {task.name!r}: values[{name!r}] is {value!r}, expected no NaN")
     return x if x.dtype == bool else x.astype(dtype)
 

@@ -13,7 +13,7 @@ import numpy as np
 from rbjax.arguments import shown
 from rbjax.errors import InputError, listed
 from rbjax.model.hulls import Hull
-from rbjax.model.record import Record
+from rbjax.model.record import Record, check_least
 from rbjax.model.solver_parameters import SOLIMP, SOLREF
 
 #: kind of a geom -> the number of entries of its size that must be positive
@@ -113,13 +113,8 @@ class Geoms(Record):
         new = super().replace(**changes)
         _check_names_and_pairs(new, changes)
         touching = sorted({i for pair in new.pairs for i in pair})
-        for field in ("friction", "pair_friction"):
-            given = getattr(new, field)
-            if field in changes and not isinstance(given, jax.core.Tracer) and np.any(given < 0):
-                raise InputError(
-                    f"Geoms.replace({field}=...): got {float(np.min(given))}, expected numbers of "
-                    "at least 0"
-                )
+        for field in changes.keys() & {"friction", "pair_friction"}:
+            check_least(f"Geoms.replace({field}=...)", getattr(new, field))
         filters = changes.keys() & {"contype", "conaffinity", "excluded"}
         if filters and "pairs" not in changes:
             raise InputError(

@@ -88,6 +88,16 @@ def check_rows(where: str, rows: Any, count: int) -> None:
         )
 
 
+def check_least(where: str, x: Any, *, above: bool = False) -> None:
+    """Raise `InputError` if untraced numbers are below zero, or zero if `above` is set."""
+    if isinstance(x, jax.core.Tracer):
+        return
+    least = float(np.min(x, initial=np.inf))
+    if least < 0 or (above and least == 0):
+        expected = "above 0" if above else "of at least 0"
+        raise InputError(f"{where}: got {least}, expected numbers {expected}")
+
+
 def check_order(where: str, ranges: Any) -> None:
     """Raise `InputError` if an untraced range (n, 2) has its larger number first."""
     if isinstance(ranges, jax.core.Tracer):

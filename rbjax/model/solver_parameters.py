@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import choice
-from rbjax.errors import InputError
-from rbjax.model.record import Record, check_rows
+from rbjax.model.record import Record, check_least, check_rows
 
 CONES = ("pyramidal", "elliptic")
 
@@ -66,15 +65,9 @@ class SolverParameters(Record):
         """
         new = super().replace(**changes)
         choice("cone", new.cone, CONES)
-        for name, lowest in (("impratio", "above 0"), ("frictionloss", "of at least 0")):
-            given = getattr(new, name)
-            if name in changes and not isinstance(given, jax.core.Tracer):
-                least = float(np.min(given, initial=np.inf))
-                if least < 0 or (name == "impratio" and least == 0):
-                    raise InputError(
-                        f"SolverParameters.replace({name}=...): got {least}, expected numbers "
-                        f"{lowest}"
-                    )
+        for name in changes.keys() & {"impratio", "frictionloss"}:
+            where = f"SolverParameters.replace({name}=...)"
+            check_least(where, getattr(new, name), above=name == "impratio")
         for name, count in (("limited", len(new.limit_margin)), ("rubbing", len(new.frictionloss))):
             if name in changes:
                 check_rows(f"SolverParameters.replace({name}=...)", getattr(new, name), count)

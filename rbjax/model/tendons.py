@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.model.record import Record, check_order, check_rows
+from rbjax.model.record import Record, check_least, check_order, check_rows
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,12 @@ class Tendons(Record):
             check_rows(f"Tendons.replace({rows}=...)", getattr(new, rows), count)
             if name not in changes or isinstance(x, jax.core.Tracer):
                 continue
-            given = np.isfinite(x).any(-1) if name == "range" else np.asarray(x) != 0
             if name == "range":
                 check_order(where, x)
-            elif np.any(x < 0):
-                raise InputError(f"{where}: got {float(np.min(x))}, expected numbers of at least 0")
+                given = np.isfinite(x).any(-1)
+            else:
+                check_least(where, x)
+                given = np.asarray(x) != 0
             missing = [i for i in np.flatnonzero(given).tolist() if i not in getattr(new, rows)]
             if missing:
                 raise InputError(

@@ -25,7 +25,7 @@ from rbjax.lanes import Vec3, safe_sqrt
 from rbjax.lanes.arrays import matvec
 from rbjax.model import WORLD, Frame, Model
 from rbjax.sensors.columns import Columns
-from rbjax.sensors.fixed import AXES, FixedSensor
+from rbjax.sensors.fixed import AXES, FixedSensor, check_data
 from rbjax.sensors.geometry.volumes import Volume
 from rbjax.sensors.protocol import register
 from rbjax.sensors.solution import solution_of
@@ -76,14 +76,7 @@ class ContactSensor(FixedSensor):
         integer("ContactSensor", "num", self.num, least=1)
         if self.reduce not in REDUCTIONS:
             raise UnknownName("reduction of a contact sensor", self.reduce, REDUCTIONS)
-        data: Any = self.data
-        if isinstance(data, str) or not data:
-            raise InputError(
-                f"ContactSensor: data is {self.data!r}, expected a tuple of some of {list(DATA)}"
-            )
-        for part in self.data:
-            if part not in DATA:
-                raise UnknownName("data of a contact sensor", part, DATA)
+        check_data("ContactSensor", "data of a contact sensor", self.data, DATA)
         if self.reduce == "netforce" and {"linvel", "angvel"} & {*self.data}:
             raise InputError(
                 "ContactSensor: reduce='netforce' has no velocities, expected data without "

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable, Iterable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import shown
+from rbjax.arguments import choice, shown
 from rbjax.errors import InputError, UnknownName
 from rbjax.forces.context import Context, FrameState
 from rbjax.lanes import Lane, pack
@@ -27,6 +27,14 @@ def reading(context: Context, lanes: Iterable[Lane]) -> jax.Array:
     """Stack lanes as a reading (n,) in the dtype of q."""
     lanes = list(lanes)
     return pack(lanes, jnp.zeros(len(lanes), context.q.dtype))
+
+
+def check_data(where: str, kind: str, data: Any, known: Collection[str]) -> None:
+    """Raise unless `data` is a tuple of some of the known names. kind: of a name, for messages."""
+    if isinstance(data, str) or not data:
+        raise InputError(f"{where}: data is {data!r}, expected a tuple of some of {list(known)}")
+    for part in data:
+        choice(kind, part, known)
 
 
 class FixedSensor(Record):

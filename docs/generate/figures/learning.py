@@ -16,7 +16,7 @@ def _rate(task: str, what: str = "step") -> Number:
 
 
 def _share(task: str) -> Ratio:
-    """The rate of control steps over that of the bare rollout."""
+    """The rate of control steps over that of `rb.rollout`."""
     return Ratio(_rate(task), _rate(task, "rollout"), 2)
 
 

@@ -163,7 +163,6 @@ def shac(
     mean, own_key = over_devices(where_to_run)
     parts = len(where_to_run)
     params = env.default_params if params is None else params
-
     policy = None if policy is None else as_policy(where, env, policy)
 
     def networks(given: tuple, key: jax.Array) -> tuple:

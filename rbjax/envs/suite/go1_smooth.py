@@ -52,7 +52,7 @@ from rbjax.envs.task import Reward, Task, Variable
 from rbjax.envs.terms.frames import frame_at
 from rbjax.lanes import Lane
 
-#: coordinate of each leg's thigh; that of its calf follows it
+#: the index in q of each leg's thigh; its calf has the next one
 THIGH = {leg: 7 + 3 * i + 1 for i, leg in enumerate(FEET)}
 TRACKING = ("tracking_lin_vel", "tracking_ang_vel")
 LEFT_OUT = ("feet_clearance", "feet_height", "stand_still")

@@ -179,7 +179,7 @@ def mass_randomisations(
     factor = _range("mass_randomisations", "factor", factor)
     limit = np.zeros(model.nb)
     limit[model.body(body)] = added
-    mass = float(model.bodies.mass[model.body(body)])
+    mass = float(np.asarray(model.bodies.mass)[model.body(body)])
     if added >= factor[0] * mass:
         raise InputError(
             f"mass_randomisations: added is {added} kg and the least mass of {body!r} is "

@@ -9,16 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import choice
 from rbjax.contact.geometry.shapes import geom_shape, stack_shapes
-from rbjax.errors import InputError
 from rbjax.forces.context import Context
 from rbjax.lanes import Vec3
 from rbjax.lanes.arrays import select, smallest
 from rbjax.model import Model
 from rbjax.model.leaves import frame_transform
 from rbjax.sensors.columns import Columns
-from rbjax.sensors.fixed import AXES, FrameSensor, named_frame, reading
+from rbjax.sensors.fixed import AXES, FrameSensor, check_data, named_frame, reading
 from rbjax.sensors.geometry.rays import INTERSECTIONS
 from rbjax.sensors.protocol import register
 
@@ -52,13 +50,7 @@ class Rangefinder(FrameSensor):
     data: tuple[str, ...] = eqx.field(static=True, default=("dist",))
 
     def __check_init__(self) -> None:
-        data: Any = self.data
-        if isinstance(data, str) or not data:
-            raise InputError(
-                f"Rangefinder: data is {self.data!r}, expected a tuple of some of {list(DATA)}"
-            )
-        for part in self.data:
-            choice("data of a rangefinder", part, DATA)
+        check_data("Rangefinder", "data of a rangefinder", self.data, DATA)
 
     def columns(self, model: Model) -> Columns:
         self.check(model)
