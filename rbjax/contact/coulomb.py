@@ -24,9 +24,9 @@ from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.parameters import pair_parameters
 from rbjax.contact.problem.assemble import Assembly
 from rbjax.contact.problem.contact_rows import Slots
-from rbjax.contact.problem.in_use import InUse, wrenches_in_use
+from rbjax.contact.problem.in_use import wrenches_in_use
 from rbjax.contact.problem.latched_disc import DiscSet, memory_width
-from rbjax.contact.problem.problem import Problem
+from rbjax.contact.problem.problem import Problem, RowsInUse
 from rbjax.contact.soft import SoftContact
 from rbjax.contact.solver.contact_forces import geoms_of_rows, rows_in_use, rows_of_slots
 from rbjax.contact.solver.newton import ITERATIONS, Solution, check_iterations, factorize_at, solve
@@ -371,12 +371,10 @@ def _memory_of_slots(problem: Problem, found: _Found) -> jax.Array:
     return jnp.concatenate([*parts, error[None]])
 
 
-def _memory_in_use(
-    problem: Problem, a: jax.Array, memory: jax.Array, used: list[InUse]
-) -> jax.Array:
+def _memory_in_use(problem: Problem, a: jax.Array, memory: jax.Array, used: RowsInUse) -> jax.Array:
     """Compute the memory after a step from the contacts in use, with derivatives."""
     twists, parts = problem.tree.twists(a, problem.dtype), list[Any]()
-    for contacts, own in zip(problem.sets, used, strict=True):
+    for contacts, own in zip(problem.sets, used.contacts, strict=True):
         if isinstance(contacts, DiscSet):
             new = lambda of, row, f, r: of.next_memory(row, r, True)  # noqa: E731
             given = contacts, problem.touching, twists, own

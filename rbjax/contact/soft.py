@@ -14,8 +14,7 @@ from jax.ad_checkpoint import checkpoint_name
 from rbjax.arguments import real_number
 from rbjax.compiler import threads
 from rbjax.contact.problem.assemble import Assembly
-from rbjax.contact.problem.in_use import InUse
-from rbjax.contact.problem.problem import Problem
+from rbjax.contact.problem.problem import Problem, RowsInUse
 from rbjax.contact.rows.equality_rows import check_soft
 from rbjax.contact.solver.contact_forces import (
     geoms_of_rows,
@@ -174,7 +173,7 @@ def solution_at(
         contacts = rows_of_slots(problem, found, assembly.origin)
         return SolutionArrays.of(problem, contacts, *_with_report(found))
 
-    def in_use(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> list[InUse]:
+    def in_use(changed: list, q: jax.Array, v: jax.Array, tau: jax.Array) -> RowsInUse:
         model, f_ext, dt, t = rebuilt(changed)
         return Assembly(model, q, v, dt, t).problem(tau, f_ext).detect(gap=True).in_use
 

@@ -114,6 +114,7 @@ def sensor_of(name: str) -> Sensor:
 
     Raises:
         UnknownName: no registered kind has this name.
+        InputError: the kind needs more than a place, as "touch" the volume of its site.
 
     Example:
         >>> import rbjax as rb

@@ -10,6 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax import sensors
 from rbjax.sensors.fixed import FrameSensor
+from rbjax.sensors.geometry.volumes import VolumeSensor
 from rbjax.sensors.protocol import _KINDS
 from rbjax.sysid import Channel, Recording, Setup, Unknown, identify
 from tests.robots import robot
@@ -87,7 +88,12 @@ def test_names_are_as_many_as_values(name):
         "first": "body:hand",
     }
     place = f":{places[dataclasses.fields(kind.sensor)[0].name]}" if kind.placed else ""
-    sensor = sensors.sensor_of(name + place)
+    if issubclass(kind.sensor, VolumeSensor):  # a name does not say its volume
+        with pytest.raises(rb.InputError, match="volume is None, expected a rbjax"):
+            sensors.sensor_of(name + place)
+        sensor = kind.sensor("tip", volume=sensors.Volume("sphere", (0.1,)))
+    else:
+        sensor = sensors.sensor_of(name + place)
     assert len(sensor.names(model)) == sensor.columns(model).size
     assert isinstance(sensor, sensors.Sensor) and sensor.unit(model)
     state = model.random_state(jax.random.key(0))

@@ -210,7 +210,9 @@ def _lines(
     for array in program.builder.tables:
         constant -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if constant >= 0 else "static __device__ const")
-    yield f'extern "C" __global__ void __launch_bounds__({WARP * warps}) {name}('
+    # of a block of several warps, the driver may give each thread 32 registers without the 1
+    bounds = f"{WARP * warps},1" if warps > 1 else f"{WARP}"
+    yield f'extern "C" __global__ void __launch_bounds__({bounds}) {name}('
     yield parameters(program, "__restrict__") + ("){" if shared.places else "){SPILL_TO_SHARED")
     yield f"const int warp={'(int)threadIdx.x/32' if warps > 1 else '0'};"
     yield f"const long long part=(long long)blockIdx.x*{warps}+warp;"

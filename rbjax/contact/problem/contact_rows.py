@@ -30,6 +30,7 @@ from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.world import World, shape_of
 from rbjax.contact.rows.contact_at_the_end import contact_at_the_end, stretch
 from rbjax.contact.rows.options import Options
+from rbjax.contact.rows.split_tables import entry
 from rbjax.forces.impedance import impedance, reference, regularisation
 from rbjax.lanes import Lane, Mat3, Vec3, pack, sub, unpack
 from rbjax.spatial import Motion
@@ -364,12 +365,3 @@ def _in_link(pose: jax.Array, axes: ContactAxes) -> ContactAxes:
     x = unpack(pose)
     E, p = Mat3(*x[:9]).T, Vec3(*x[9:])
     return ContactAxes(E @ (axes.point - p), [E @ e for e in axes.axes], axes.dim)
-
-
-def entry(table: Any, index: Any) -> Any:
-    """Return a row of a table, without a gather if the table or the index is constant."""
-    if not isinstance(table, np.ndarray):
-        return table[index]
-    if (table == table[:1]).all():
-        return table[0]
-    return table[index] if isinstance(index, int) else jnp.asarray(table)[index]

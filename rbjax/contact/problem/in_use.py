@@ -18,8 +18,9 @@ import numpy as np
 from rbjax.compiler.jax.turns import Rows, Turns
 from rbjax.contact.geometry.candidates import pair_contacts
 from rbjax.contact.geometry.narrow_phase import COUNTS
-from rbjax.contact.problem.contact_rows import ContactSet, Found, entry
+from rbjax.contact.problem.contact_rows import ContactSet, Found
 from rbjax.contact.problem.world import World, shape_of
+from rbjax.contact.rows.split_tables import SplitTables, entry
 from rbjax.lanes import Lane, pack
 
 #: function (set, row, forces, residual) -> numbers of a contact to store
@@ -56,7 +57,7 @@ def wrenches_in_use(
         row a candidate, and zeros for a candidate that is not in use.
     """
     places = _places(contacts, world, used)
-    split = [_Split.of(x) for x in contacts.tables]
+    split = [SplitTables.of(x) for x in contacts.tables]
     ends = [np.ascontiguousarray(contacts.links[:, k]) for k in (0, 1)]
     moving = contacts.links.min(1)  # if one of the links is the world, it is the last one
     responses = world.responses
@@ -119,8 +120,8 @@ def _places(contacts: ContactSet, world: World, used: InUse) -> jax.Array:
     """Compute the place (n, 10) of each candidate in use, as `Found.contacts`."""
     ends = [np.ascontiguousarray(contacts.geoms[:, k]) for k in (0, 1)]
     dtype, given = world.geoms.dtype, contacts.parameters
-    reach = _Split.of(given.margin + given.gap)
-    heights = _Split.of(world.heights)
+    reach = SplitTables.of(given.margin + given.gap)
+    heights = SplitTables.of(world.heights)
     starts, start = [], 0
     for kind, pairs in contacts.kinds.items():
         count = COUNTS[kind.kinds]
@@ -176,32 +177,3 @@ def _places(contacts: ContactSet, world: World, used: InUse) -> jax.Array:
 
     operands = [world.geoms, *reach.arrays, *heights.arrays]
     return Turns(loop, reads, writes, term)(operands, used, [(contacts.candidates, 10)])[0]
-
-
-class _Split(NamedTuple):
-    """A pytree split into JAX arrays, which may be traced, and constant leaves."""
-
-    arrays: list[jax.Array]
-    leaves: list[Any]
-    where: list[int]
-    tree: Any
-
-    @classmethod
-    def of(cls, tree: Any) -> _Split:
-        leaves, treedef = jax.tree.flatten(tree)
-        where = [i for i, x in enumerate(leaves) if isinstance(x, jax.Array)]
-        return cls([leaves[i] for i in where], leaves, where, treedef)
-
-    def filled(self, rows: Sequence[Any], index: Any) -> Any:
-        """Return the pytree with rows for its arrays. Constant tables have the row of an index."""
-        out = list(self.leaves)
-        for i, x in enumerate(out):
-            if index is not None and isinstance(x, np.ndarray):
-                out[i] = np.asarray(entry(x, index))[None] if _uniform(x) else entry(x, index)[None]
-        for i, x in zip(self.where, rows, strict=True):
-            out[i] = x
-        return jax.tree.unflatten(self.tree, out)
-
-
-def _uniform(table: np.ndarray) -> bool:
-    return bool((table == table[:1]).all())

@@ -27,7 +27,7 @@ from rbjax.contact.problem.in_use import InUse, wrenches_in_use
 from rbjax.contact.problem.latched_disc import DiscSet
 from rbjax.contact.problem.link_stiffness import LinkStiffness
 from rbjax.contact.problem.world import World
-from rbjax.contact.rows.limit_slots import JointLimits, LimitSlots
+from rbjax.contact.rows.limit_slots import JointLimits, LimitsInUse, LimitSlots
 from rbjax.contact.rows.scalar_row import ScalarRow
 from rbjax.dynamics.algorithms.factors import name_factors
 from rbjax.lanes import Lane, add, fusion_barrier, mul, pack, sub, total, unpack
@@ -185,6 +185,13 @@ def stacked(rows: Sequence[Sequence[Lane]], dtype: Any) -> jax.Array:
     return jnp.stack(fusion_barrier(flat)).reshape(len(rows), -1)
 
 
+class RowsInUse(NamedTuple):
+    """The contacts in use of each set, and the limits of hinges and slides that act."""
+
+    contacts: list[InUse]
+    limits: LimitsInUse
+
+
 @dataclass(frozen=True)
 class Problem:
     """The convex problem at a state.
@@ -253,23 +260,24 @@ class Problem:
         assert self.world is not None
         return self.world
 
-    def constraint_forces(self, x: jax.Array, used: Sequence[InUse]) -> list[Lane]:
-        """Compute J^T f at x (nv,) from the contacts in use of each set, with derivatives."""
+    def constraint_forces(self, x: jax.Array, used: RowsInUse) -> list[Lane]:
+        """Compute J^T f at x (nv,) from the rows in use, with derivatives."""
         twists = self.tree.twists(x, self.dtype)
         wrenches = jnp.zeros_like(twists)
-        for contacts, own in zip(self.sets, used, strict=True):
+        for contacts, own in zip(self.sets, used.contacts, strict=True):
             wrenches = wrenches + wrenches_in_use(contacts, self.touching, twists, own)[0]
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
-        lanes = unpack(x)
-        for row in self.rows:
+        limits = self.limits.forces(x, used.limits)
+        out, lanes = [add(f, g) for f, g in zip(out, unpack(limits), strict=True)], unpack(x)
+        for row in self.loose:
             f, _ = row.response(sub(row.along(lanes), row.reference))
             out = add_row(out, row, f)
         return out
 
     @property
-    def in_use(self) -> list[InUse]:
-        """The contacts in use of each set, after `detect`. Derivatives save them."""
-        found = [InUse.of(slots.found) for slots in self.slots]
+    def in_use(self) -> RowsInUse:
+        """The rows in use, after `detect`. Derivatives save them."""
+        found = RowsInUse([InUse.of(slots.found) for slots in self.slots], self.at_limits.in_use)
         return jax.tree.map(lambda x: checkpoint_name(x, "contacts"), found)
 
 

@@ -6,17 +6,19 @@ their cost follows the number of limits that act, which are few.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler.jax.turns import Rows, Turns
 from rbjax.contact.rows.dof_rows import limit_rows
 from rbjax.contact.rows.options import Options
 from rbjax.contact.rows.scalar_row import LIMIT, ScalarRow, Softness
-from rbjax.lanes import Lane, pack, sub, unpack
+from rbjax.contact.rows.split_tables import SplitTables, entry
+from rbjax.lanes import Lane, mul, pack, sub, unpack
 from rbjax.model import Model
 from rbjax.model.leaves import table
 
@@ -46,59 +48,148 @@ class JointLimits(NamedTuple):
         """The rows of all limits, the lower one of each joint first."""
         return limit_rows(self.model, self.q, self.v, self.weights, self.options, self.joints)
 
+    @property
+    def _tables(self) -> LimitTables:
+        """The numbers of all limits, the lower limits of all joints first."""
+        own, dtype, n = self.model.solver, self.q.dtype, len(self.joints)
+        assert own is not None
+        every, side = np.array(self.joints * 2, int), np.repeat([0, 1], n)
+        ranges = table(self.model.joints.range, dtype)
+        given = own.limit_margin, own.limit_solref, own.limit_solimp
+        margin, solref, solimp = (table(x, dtype)[every] for x in given)
+        weight = table(self.weights, dtype)[self._dofs]
+        return LimitTables(1.0 - 2.0 * side, ranges[every, side], margin, weight, solref, solimp)
+
+    @property
+    def _places(self) -> np.ndarray:
+        """The coordinate of each limit."""
+        return np.array(self.model.topology.joint_q, np.int32)[self.joints * 2]
+
+    @property
+    def _dofs(self) -> np.ndarray:
+        """The dof of each limit."""
+        return np.array(self.dofs * 2, np.int32)
+
     def active(self) -> LimitSlots:
         """Find the limits that act."""
-        own, top, dtype = self.model.solver, self.model.topology, self.q.dtype
-        assert own is not None
-        if not self.joints:
-            return LimitSlots(jnp.int32(0), jnp.zeros(0, jnp.int32), jnp.zeros((0, 3), dtype))
-        every = np.array(self.joints * 2)
-        signs = np.repeat([1.0, -1.0], len(self.joints))
-        places, dofs = (np.array(x, np.int32)[every] for x in (top.joint_q, top.joint_v))
-        ranges = table(self.model.joints.range, dtype)[every]
-        side = np.arange(len(every)) // len(self.joints)
-        bounds = ranges[np.arange(len(every)), side]
-        given = own.limit_margin, own.limit_solref, own.limit_solimp
-        margins, solref, solimp = (table(x, dtype)[every] for x in given)
-        weights = table(self.weights, dtype)[dofs]
+        dtype, n = self.q.dtype, 2 * len(self.joints)
+        none = jnp.zeros(n, jnp.int32), jnp.zeros(n, jnp.int32)
+        start = LimitSlots(jnp.int32(0), *none, jax.lax.empty((n, 3), dtype))
+        if not n:
+            return start
+        tables, places, dofs = self._tables, jnp.asarray(self._places), jnp.asarray(self._dofs)
 
         def visit(found: LimitSlots, n: Any) -> tuple[LimitSlots, None]:
-            def number(column: Any) -> Lane:
-                if isinstance(column, np.ndarray) and (column == column[:1]).all():
-                    return float(column[0])
-                return jnp.asarray(column, dtype)[n]
-
-            sign, margin, i = number(signs), number(margins), jnp.asarray(dofs)[n]
-            distance = sign * (self.q[jnp.asarray(places)[n]] - number(bounds))
+            limit = jax.tree.map(lambda column: entry(column, n), tables).lanes(dtype)
+            distance, i = limit.distance(self.q[places[n]]), dofs[n]
 
             def stored() -> LimitSlots:
-                parameters = ([number(x) for x in t.T] for t in (solref, solimp))
-                softness = Softness(number(weights), *parameters)
-                given = distance, margin, [self.v[i]], softness, self.options, ("joint", 0)
-                row = ScalarRow.limit({0: sign}, *given)
-                k, lanes = found.length, pack([sign, row.D, row.reference], self.q)
-                return LimitSlots(k + 1, found.dofs.at[k].set(i), found.rows.at[k].set(lanes))
+                row, k = limit.row(distance, self.v[i], self.options), found.length
+                lanes = pack([limit.sign, row.D, row.reference], self.q)
+                at = found.which.at[k].set(n), found.dofs.at[k].set(i), found.rows.at[k].set(lanes)
+                return LimitSlots(k + 1, *at)
 
-            return jax.lax.cond(distance < margin, stored, lambda: found), None
+            return jax.lax.cond(distance < limit.margin, stored, lambda: found), None
 
-        n = len(every)
-        none = jnp.zeros(n, jnp.int32), jax.lax.empty((n, 3), dtype)
-        start = LimitSlots(jnp.int32(0), *none)
-        return jax.lax.scan(visit, start, jnp.arange(n))[0]
+        return jax.lax.scan(visit, start, jnp.arange(n, dtype=jnp.int32))[0]
+
+    def forces(self, x: jax.Array, used: LimitsInUse) -> jax.Array:
+        """Compute the joint forces J^T f (nv,) at the acceleration x (nv,) of the limits that act,
+        with derivatives."""
+        if not self.joints:
+            return jnp.zeros_like(x)
+        places, dofs = self._places, self._dofs
+        tables, options = SplitTables.of(self._tables), SplitTables.of(self.options)
+        count = len(tables.arrays)
+
+        def loop(visit: Callable, carry: Any, counters: Sequence[Any]) -> Any:
+            length, which = counters
+            return jax.lax.fori_loop(0, length, lambda k, carry: visit(which[k], carry), carry)
+
+        def reads(n: Any) -> list[Rows]:
+            i, own = [(entry(dofs, n), 1)], [(n, 1)]
+            return [[(entry(places, n), 1)], i, i, *[own] * count, *[None] * len(options.arrays)]
+
+        def term(n: Any, q: Any, v: Any, x: Any, *rest: jax.Array) -> list[jax.Array]:
+            one = jax.tree.map(lambda y: y[0], tables.filled(rest[:count], n)).lanes(x.dtype)
+            row = one.row(one.distance(q[0]), v[0], options.filled(rest[count:], None))
+            f, _ = row.response(sub(row.along([x[0]]), row.reference))
+            return [pack([one.sign * f], x)]
+
+        turns = Turns(loop, reads, lambda n: [[(entry(dofs, n), 1)]], term)
+        return turns([self.q, self.v, x, *tables.arrays, *options.arrays], used, [x.shape])[0]
 
 
-class LimitSlots(NamedTuple):
+class LimitTables(NamedTuple):
+    """The numbers of limits, one row a limit; or of one limit, as lanes.
+
+    Fields:
+        sign: direction, 1 for a lower limit or -1.
+        bound: the coordinate at the limit.
+        margin: distance below which the limit acts.
+        weight: inverse inertia of the dof.
+        solref, solimp: the reference and the impedance, as in MuJoCo.
+    """
+
+    sign: Any
+    bound: Any
+    margin: Any
+    weight: Any
+    solref: Any
+    solimp: Any
+
+    def lanes(self, dtype: Any) -> LimitTables:
+        """Convert the row of one limit to lanes."""
+
+        def converted(x: Any) -> Any:
+            if x.ndim:
+                return [converted(y) for y in x]
+            return float(x) if isinstance(x, np.generic | np.ndarray) else x.astype(dtype)
+
+        return LimitTables(*map(converted, self))
+
+    def distance(self, q: Lane) -> Lane:
+        """Compute the distance of a coordinate to the limit."""
+        return mul(self.sign, sub(q, self.bound))
+
+    def row(self, distance: Lane, v: Lane, options: Options) -> ScalarRow:
+        """Return the row of the limit, at a distance and at the velocity v of its dof."""
+        softness = Softness(self.weight, self.solref, self.solimp)
+        return ScalarRow.limit(
+            {0: self.sign}, distance, self.margin, [v], softness, options, ("joint", 0)
+        )
+
+
+class LimitsInUse(NamedTuple):
     """The limits that act.
 
     Fields:
         length: their number.
+        which: (n,) the index of each limit in the tables.
+    """
+
+    length: jax.Array
+    which: jax.Array
+
+
+class LimitSlots(NamedTuple):
+    """The limits that act, with their rows.
+
+    Fields:
+        length: their number.
+        which: (n,) the index of each limit in the tables.
         dofs: (n,) the dof of each.
         rows: (n, 3) direction, 1 or -1, inverse regularization and reference acceleration of each.
     """
 
-    length: Lane
+    length: Any
+    which: jax.Array
     dofs: jax.Array
     rows: jax.Array
+
+    @property
+    def in_use(self) -> LimitsInUse:
+        return LimitsInUse(self.length, self.which)
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:
         """Run carry = step(k, carry) over the indices k of the limits that act."""

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 
 from rbjax.contact.geometry.narrow_phase import COUNTS
 from rbjax.contact.problem.contact_rows import ContactSet, Slots, place_of
-from rbjax.contact.problem.in_use import InUse, wrenches_in_use
-from rbjax.contact.problem.problem import Problem
+from rbjax.contact.problem.in_use import wrenches_in_use
+from rbjax.contact.problem.problem import Problem, RowsInUse
 from rbjax.contact.solver.newton import Solution
 from rbjax.lanes import Lane, Vec3, pack
 from rbjax.model import Model
@@ -111,13 +111,13 @@ def rows_of_slots(
 
 
 def rows_in_use(
-    problem: Problem, used: Sequence[InUse], a: jax.Array, origin: Vec3
+    problem: Problem, used: RowsInUse, a: jax.Array, origin: Vec3
 ) -> tuple[jax.Array, list[Lane]]:
     """Compute the rows of `contact_forces` and the joint forces J^T f of the contacts at an
     acceleration a, from the contacts in use. Derivatives exist in both modes."""
     found, wrenches = [], _no_wrenches(problem)
     twists = problem.tree.twists(a, problem.dtype)
-    for contacts, own in zip(problem.sets, used, strict=True):
+    for contacts, own in zip(problem.sets, used.contacts, strict=True):
         given = contacts, problem.touching, twists, own
         more, rows = wrenches_in_use(*given, _numbers, WIDTH)
         wrenches = wrenches + more
