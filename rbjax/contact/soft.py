@@ -21,11 +21,11 @@ from rbjax.contact.solver.contact_forces import (
     rows_in_use,
     rows_of_slots,
 )
+from rbjax.contact.solver.linear_solution import linear_solver
 from rbjax.contact.solver.newton import (
     ITERATIONS,
     Solution,
     check_iterations,
-    factorize_at,
     solve,
     tolerance_of,
 )
@@ -49,13 +49,13 @@ from rbjax.model import Model, State
 
 def detected(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, f_ext: LinkForces | None,
-    dt: Any = None, t: Any = 0.0, added: Entries | None = None, *, values: bool = False,
+    dt: Any = None, t: Any = 0.0, added: Entries | None = None,
 ) -> Problem:  # fmt: skip
     """Return the contact problem of a model, with its active contacts.
 
-    `dt` is the step, or None for the model's timestep. `added` and `values` are as in `Assembly`.
+    `dt` is the step, or None for the model's timestep. `added` is as in `Assembly`.
     """
-    problem = Assembly(model, q, v, dt, t, added, values=values).problem(tau, f_ext)
+    problem = Assembly(model, q, v, dt, t, added, iterative=True).problem(tau, f_ext)
     return problem.detect()
 
 
@@ -72,9 +72,9 @@ def contact_acceleration(
     """
     given, rebuilt = split_tracers((model, f_ext, dt, t, added))
 
-    def solved_at(changed, q, v, tau, *, values=False) -> tuple[Problem, Solution]:
+    def solved_at(changed, q, v, tau) -> tuple[Problem, Solution]:
         model, f_ext, *rest = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, *rest, values=values)
+        problem = detected(model, q, v, tau, f_ext, *rest)
         return problem, solve(problem, iterations=iterations)
 
     def results(problem, found):
@@ -82,18 +82,18 @@ def contact_acceleration(
         return *_with_report(found), *counts
 
     def plain(*at):
-        return batch_first(results(*solved_at(*at, values=True)), at)
+        return batch_first(results(*solved_at(*at)), at)
 
     def solved(*at):
         problem, found = solved_at(*at)
         # a derivative that saves these values does not solve the problem again
-        factors = factorize_at(problem, found)
+        change = linear_solver(problem, found)
         values = tuple(checkpoint_name(x, "acceleration") for x in results(problem, found))
-        return values, [factors.solve], problem.in_use
+        return values, [change], problem.in_use
 
     def residual(changed, q, v, tau, a, used):
         model, f_ext, *rest = rebuilt(changed)
-        assembly = Assembly(model, q, v, *rest)
+        assembly = Assembly(model, q, v, *rest, iterative=True)
         problem = assembly.problem(tau, f_ext)
         pushes = pack(problem.constraint_forces(a, used), tau)
         return tau + pushes - assembly.inverse_dynamics(a, f_ext)
@@ -114,7 +114,7 @@ def damped_acceleration(
 
     def plain(changed, q, v, tau):
         model, f_ext, dt, t, damping = rebuilt(changed)
-        problem = detected(model, q, v, tau, f_ext, dt, t, values=True)
+        problem = detected(model, q, v, tau, f_ext, dt, t)
         diagonal = {i: x for (i, _), x in damping.items()}
         found = solve(problem, iterations=iterations, added=diagonal)
         _, *report = _with_report(found)

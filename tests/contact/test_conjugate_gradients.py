@@ -10,8 +10,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.contact.problem.articulated import ArticulatedTree
+from rbjax.contact.problem.assemble import Assembly
 from rbjax.contact.problem.problem import Tree
-from rbjax.contact.soft import detected
 from rbjax.contact.solver.newton import solve
 
 ARMS = """
@@ -55,8 +55,8 @@ def compare(cone: str, dim: int, dtype: type) -> None:
     model = rb.load(compiled)
 
     def solutions(q, v):
-        both = (detected(model, q, v, 0 * v, None, values=x) for x in (True, False))
-        one, other = both
+        both = (Assembly(model, q, v, iterative=x).problem(0 * v, None) for x in (True, False))
+        one, other = (x.detect() for x in both)
         assert isinstance(one.tree, ArticulatedTree) and isinstance(other.tree, Tree)
         return solve(one), solve(other)
 
@@ -83,13 +83,50 @@ def test_other_cones_equal_mujoco(cone, dim, dtype):
     compare(cone, dim, dtype)
 
 
-def test_derivative_uses_joint_space():
-    """The derivative of an acceleration with contacts inside a tree equals differences."""
+def problem_of(cone: str, turn: float):
+    """Return a number that depends on the acceleration as a function of velocity and friction, an
+    argument, and a direction."""
+    compiled = arms_of(cone, 3)
+    model, data = rb.load(compiled), state_of(compiled, turn)
+    q, r = jnp.asarray(data.qpos), np.random.default_rng(1)
+    weights, along = (jnp.asarray(r.normal(size=n)) for n in (compiled.nv, compiled.nv + 1))
+
+    def scalar(x):
+        geoms = model.geoms
+        geoms = geoms.replace(friction=jnp.asarray(geoms.friction) * x[-1])
+        return weights @ rb.acceleration(model.replace(geoms=geoms), rb.State(q, x[:-1]))
+
+    return scalar, jnp.asarray([*data.qvel, 1.0]), along
+
+
+def test_derivative_inside_a_tree_equals_differences():
+    scalar, x, along = problem_of("elliptic", 0.32)
+    run = jax.jit(lambda x: (jax.jvp(scalar, (x,), (along,)), jax.grad(scalar)(x)))
+    (_, rate), slope = run(x)
+    a, b = (run(x + e * along)[0][0] for e in (1e-6, -1e-6))
+    np.testing.assert_allclose(rate, (a - b) / 2e-6, rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(slope @ along, rate, rtol=1e-10)
+
+
+@pytest.mark.parametrize("turn", [0.32, 0.1])
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+def test_second_derivatives_equal_differences(cone, turn):
+    """Forward over reverse, with and without contacts inside the tree."""
+    scalar, x, along = problem_of(cone, turn)
+    run = jax.jit(lambda x: jax.jvp(jax.grad(scalar), (x,), (along,)))
+    _, second = run(x)
+    g, h = (run(x + e * along)[0] for e in (1e-6, -1e-6))
+    np.testing.assert_allclose(second, (g - h) / 2e-6, rtol=1e-5, atol=1e-4)
+    assert jnp.abs(second).max() > 1e-2
+
+
+def test_reverse_at_a_cotangent_of_zero():
+    """A right-hand side of zero ends conjugate gradients at once, and gives a zero gradient."""
     compiled = arms_of("elliptic", 3)
     model, data = rb.load(compiled), state_of(compiled, 0.32)
     q, v = jnp.asarray(data.qpos), jnp.asarray(data.qvel)
-    along = jnp.asarray(np.random.default_rng(1).normal(size=compiled.nv))
-    run = jax.jit(lambda v: rb.acceleration(model, rb.State(q, v)))
-    rate = jax.jit(lambda v: jax.jvp(run, (v,), (along,))[1])(v)
-    difference = (run(v + 1e-6 * along) - run(v - 1e-6 * along)) / 2e-6
-    np.testing.assert_allclose(rate, difference, rtol=1e-6, atol=1e-5)
+    run = lambda v: rb.acceleration(model, rb.State(q, v))  # noqa: E731
+    back = jax.jit(lambda v, bar: jax.vjp(run, v)[1](bar)[0])
+    assert not back(v, jnp.zeros_like(v)).any()
+    change = jax.jit(lambda v, bar: jax.jvp(lambda b: back(v, b), (0 * bar,), (bar,))[1])
+    np.testing.assert_allclose(change(v, v), back(v, v), rtol=1e-9, atol=1e-9)

@@ -81,18 +81,17 @@ class Assembly:
     The origin is the last link of the first body that moves. `dt` is the step in s, None for the
     model's timestep, and `t` the time in s, which constraints read. `added` is the matrix h D +
     h^2 K of the `discrete` integrator by entry, which adds to the mass matrix; None for others.
-    `values`: whether the problem is solved without derivatives, so that an iteration may treat
-    contacts inside a tree.
+    `iterative`: whether conjugate gradients may solve for contacts inside a tree.
     """
 
     def __init__(
         self, model: Model, q: jax.Array, v: jax.Array, dt: Any = None, t: Any = 0.0,
-        added: Entries | None = None, *, values: bool = False,
+        added: Entries | None = None, *, iterative: bool = False,
     ):  # fmt: skip
         model = _in_dtype(model, q.dtype)
         self.model, self.q, self.v, self.t, self.top = model, q, v, t, model.topology
         self.dt, self.added = model.timestep if dt is None else dt, added
-        self.touching, self.values = Touching.of(model), values
+        self.touching, self.iterative = Touching.of(model), iterative
         self.d = self._driver()
         self.joints = self.d.joints(q, v)
         poses, self._twists = map(self.d.whole, sweep(self.d, self.joints, POSE, TWIST))
@@ -126,7 +125,7 @@ class Assembly:
     @cached_property
     def _articulated(self) -> bool:
         """Whether articulated-body sweeps solve the problem: other rows are on single dofs, and
-        contacts are with the world or, for values, inside one tree.
+        contacts are with the world or, if `iterative`, inside one tree.
 
         A contact inside a tree, as of a hand with a thigh, is rare and costs iterations of
         conjugate gradients. A contact of two trees, as of a hand with an object, lasts, so a
@@ -134,7 +133,7 @@ class Assembly:
         """
         roots = [path[0] for path in self.top.ancestors]
         apart = [pair for pair in self.touching.link_pairs if WORLD not in pair]
-        inside = all(roots[a] == roots[b] for a, b in apart) if self.values else not apart
+        inside = all(roots[a] == roots[b] for a, b in apart) if self.iterative else not apart
         return self.added is None and not self._rows_of_several_dofs and inside
 
     @property

@@ -1,0 +1,116 @@
+"""Solution of H x = b with the Hessian H at a solution of the contact problem, for derivatives.
+
+It reads values that a derivative saves: the factors of H_0, and the contacts between two links of a
+tree, which are not in H_0. With such contacts conjugate gradients solve the equation, as in a step
+of Newton's method. A second derivative in forward mode follows from
+
+    (H_0 + C) x = b,    C = J^T s'' J,
+    dx = r - H^-1 C r,    r = d[H_0^-1 (b - C x)],    x held constant
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jax.extend.core import Var
+
+from rbjax.compiler.jax.derivatives import close, needed
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import Moving, Program, traced
+from rbjax.contact.problem.contact_rows import Found, Slots
+from rbjax.contact.problem.problem import Problem
+from rbjax.contact.solver.conjugate_gradients import products, solve_direction
+from rbjax.contact.solver.newton import Solution, factorize_at
+from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
+from rbjax.lanes import pack, unpack
+
+
+def linear_solver(problem: Problem, solution: Solution) -> Callable[[jax.Array], jax.Array]:
+    """Return the function b -> H^-1 b (nv,) with the Hessian at a solution."""
+    factors = factorize_at(problem, solution)
+    if not any(x.coupled for x in problem.sets):
+        return factors.solve
+    saved = [_saved(*x) for x in zip(problem.slots, solution.residuals, strict=True)]
+    problem = replace(problem, slots=[slots for slots, _ in saved])
+    residuals = [x for _, x in saved]
+
+    def parts(b: jax.Array, x: jax.Array) -> list[jax.Array]:
+        change = _stiffness(problem, residuals, x)
+        solution = solve_direction(problem, factors, b, residuals).x
+        return [solution, factors.solve(b - change), change]
+
+    return lambda b: _symmetric(parts, b)
+
+
+def _saved(slots: Slots, residuals: jax.Array) -> tuple[Slots, jax.Array]:
+    """Name the active contacts of a set and their residuals, so that derivatives save them."""
+    found = slots.found
+    given = found.length, found.pairs, found.candidates, slots.rows, residuals
+    length, pairs, candidates, rows, residuals = (
+        checkpoint_name(jnp.asarray(x), "contacts") for x in given
+    )
+    places = jnp.zeros_like(found.contacts)  # which are not read
+    return slots._replace(found=Found(length, places, pairs, candidates), rows=rows), residuals
+
+
+def _stiffness(problem: Problem, residuals: Sequence[jax.Array], x: jax.Array) -> jax.Array:
+    """Compute J^T s'' J x (nv,) of the contacts between two links of a tree."""
+    tree, dtype = problem.tree, problem.dtype
+    twists, wrenches = tree.twists(x, dtype), jnp.zeros((len(tree.touching) + 1, 6), dtype)
+    for contacts, slots, r in zip(problem.sets, problem.slots, residuals, strict=True):
+        if not contacts.coupled:
+            continue
+
+        def push(k: Any, out: Any, of: Any = contacts, slots: Any = slots, r: Any = r) -> Any:
+            row = slots.row(k, of.dim)
+            change = products(of.cone(row).response(unpack(r[k])).H, of.rates(row, twists))
+            return of.add_forces(row, out, change)
+
+        wrenches = slots.fold(push, wrenches)
+    return pack(tree.generalized(wrenches), x)
+
+
+def _symmetric(parts: Callable, b: jax.Array) -> jax.Array:
+    """Compute H^-1 b as a program that is its own transpose.
+
+    parts: function (b, x) -> H^-1 b, H_0^-1 (b - C x), C x.
+    """
+    plain, closed_over = trace(parts, [b, b])
+    n, inputs = len(closed_over), plain.inputs[:-1]
+    solved, balanced, changed = (_result(plain, k) for k in range(3))
+
+    def solve(*args: jax.Array) -> jax.Array:
+        return solved(*args, args[-1])[0]
+
+    def rule(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+        x = solve(*primals)
+        _, r = jvp_of(lambda *args: balanced(*args, x)[0], primals, tangents)
+        if r is None:
+            return x, jnp.zeros_like(x)
+        return x, r - ruled(*primals[:n], changed(*primals, r)[0])
+
+    ruled = with_jvp(solve, rule)
+
+    def vjp(moving: Moving, args: Any, _: Any, bars: Any) -> list[jax.Array]:
+        if any(moving[:n]):  # a second derivative in reverse mode, which the loops lack
+            return run(solved.transposed((*moving, False), (True,)), [*args, args[-1], *bars])
+        return run(program, [*args[:n], *bars])
+
+    program = replace(traced(lambda *args: [ruled(*args)], *inputs), vjp=vjp)
+    return run(program, [*closed_over, b])[0]
+
+
+def _result(program: Program, k: int) -> Program:
+    """Return the program that computes one result of a program."""
+    jaxpr = program.closed.jaxpr
+    out = jaxpr.outvars[k]
+    assert isinstance(out, Var)
+    consts = dict(zip(jaxpr.constvars, program.closed.consts, strict=True))
+    eqns = needed(jaxpr.eqns, [out], jaxpr.invars)
+    return Program(close(eqns, jaxpr.invars, [out], consts))
