@@ -145,6 +145,37 @@ def typed(attributes: Any, version: Any) -> None:
         del attributes["mhlo.backend_config"]
 
 
+def wrap_lowering(wrapped: Callable[[Callable], Callable]) -> None:
+    """Replace JAX's function that lowers a program to a module by `wrapped` of it."""
+    from jax._src.interpreters import mlir
+
+    if hasattr(mlir, "lower_jaxpr_to_module"):
+        mlir.lower_jaxpr_to_module = wrapped(mlir.lower_jaxpr_to_module)
+
+
+def replace_kernel_data(module: Any, codes: dict[str, str]) -> None:
+    """Replace placeholders in the launches of kernels of a module by their codes."""
+    from jax.interpreters import mlir
+
+    ir = mlir.ir
+
+    def visit(op: Any) -> Any:
+        if op.name == "stablehlo.custom_call":
+            target = ir.StringAttr(op.attributes["call_target_name"]).value
+            name = "backend_config" if "backend_config" in op.attributes else "mhlo.backend_config"
+            if target == GPU_KERNEL and name in op.attributes:
+                config = ir.DictAttr(op.attributes[name])
+                given = {x.name: x.attr for x in (config[k] for k in range(len(config)))}
+                code = codes.get(ir.StringAttr(given["kernel_data"]).value)
+                if code is not None:
+                    given["kernel_data"] = ir.StringAttr.get(code)
+                    op.attributes[name] = ir.DictAttr.get(given)
+        return ir.WalkResult.ADVANCE
+
+    with module.context:
+        module.operation.walk(visit)
+
+
 # ------------------------------------------------------------------- diffrax, optimistix, Equinox
 
 

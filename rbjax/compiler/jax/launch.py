@@ -28,6 +28,7 @@ from rbjax.compiler.cuda.kernels import DRIVERS_BYTES, Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
 from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.ir.statements import Unsupported
+from rbjax.compiler.jax.kernel_code import code_or_placeholder
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
@@ -115,11 +116,16 @@ def launch_kernel(
     Raises:
         Unsupported: NVRTC rejects the kernel.
     """
-    try:
+
+    def compiled() -> str:
         code = ptx(kernel.source, capability())
+        compile_ahead(code, ordinal)
+        return code
+
+    try:
+        code = code_or_placeholder(kernel.source, compiled)
     except CompileError as error:
         raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
-    compile_ahead(code, ordinal)
     params = {
         "name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block,
         "shared_bytes": kernel.shared_bytes,
