@@ -145,12 +145,16 @@ def typed(attributes: Any, version: Any) -> None:
         del attributes["mhlo.backend_config"]
 
 
-def wrap_lowering(wrapped: Callable[[Callable], Callable]) -> None:
-    """Replace JAX's function that lowers a program to a module by `wrapped` of it."""
-    from jax._src.interpreters import mlir
+def wrap_lowering(wrapped: Callable[[Callable], Callable]) -> bool:
+    """Replace JAX's function that lowers a program to a module by `wrapped` of it. Return False if
+    this JAX has no such function."""
+    try:
+        from jax._src.interpreters import mlir
 
-    if hasattr(mlir, "lower_jaxpr_to_module"):
         mlir.lower_jaxpr_to_module = wrapped(mlir.lower_jaxpr_to_module)
+    except (ImportError, AttributeError):
+        return False
+    return True
 
 
 def replace_kernel_data(module: Any, codes: dict[str, str]) -> None:

@@ -118,37 +118,6 @@ def test_a_kernel_that_the_gpu_s_compiler_rejects_runs_under_xla(gpu, monkeypatc
     assert launch.GPU_KERNEL not in text and ("cosine" if order else "sine") in text
 
 
-def test_kernels_of_one_program_compile_at_the_same_time(gpu, monkeypatch):
-    """Each of two kernels waits for the other, the second use of one for none."""
-    meeting, made = threading.Barrier(2, timeout=60), []
-
-    def code(source, capability):
-        meeting.wait()
-        made.append(source)
-        return f"PTX {len(source)}"
-
-    monkeypatch.setattr(launch, "ptx", code)
-    one, other = (jax.vmap(compile_threads(h)) for h in (jnp.cosh, jnp.arctan))
-    text = lowered(lambda x: one(x) + other(x) + one(2 * x), X)
-    assert text.count(launch.GPU_KERNEL) == 3 and len(made) == 2
-    assert {f"PTX {len(x)}" for x in made} == set(re.findall(r'"(PTX \d+)"', text))
-    assert "rbjax kernel" not in text  # a placeholder
-
-
-def test_one_of_two_kernels_is_rejected(gpu, monkeypatch):
-    def code(source, capability):
-        if "atan(" in source:
-            raise nvrtc.CompileError("NVRTC does not compile a kernel: error C2143")
-        return "PTX"
-
-    monkeypatch.setattr(launch, "ptx", code)
-    one, other = (jax.vmap(compile_threads(h)) for h in (jnp.sinh, lambda x: jnp.arctan(x) + 1))
-    with pytest.warns(UserWarning, match=r"rejects .*error C2143.*runs under XLA"):
-        text = lowered(lambda x: one(x) + other(x) + other(2 * x), X)
-    assert text.count(launch.GPU_KERNEL) == 1 and '"PTX"' in text
-    assert "rbjax kernel" not in text
-
-
 def test_sums_over_the_batch_count_as_memory_of_a_thread(gpu, monkeypatch):
     """The weights' gradient of a network: each thread holds an array of its size."""
     sizes = []

@@ -38,10 +38,15 @@ def fast_compile(wanted: bool = True) -> Iterator[None]:
         _fast.reset(before)
 
 
+def compiles_fast() -> bool:
+    """Return whether kernels are compiled quickly instead of for speed."""
+    return _fast.get()
+
+
 def options() -> tuple[str, ...]:
     """Return NVRTC's options; they differ inside `fast_compile`."""
     new = tuple(map(int, version().split("."))) >= QUICK_SINCE
-    return (*OPTIONS, *QUICK) if _fast.get() and new else OPTIONS
+    return (*OPTIONS, *QUICK) if compiles_fast() and new else OPTIONS
 
 
 @functools.cache

@@ -28,7 +28,7 @@ from rbjax.compiler.cuda.kernels import DRIVERS_BYTES, Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
 from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.ir.statements import Unsupported
-from rbjax.compiler.jax.kernel_code import code_or_placeholder
+from rbjax.compiler.jax.kernel_code import KernelCode, compile_aside
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
@@ -123,7 +123,7 @@ def launch_kernel(
         return code
 
     try:
-        code = code_or_placeholder(kernel.source, compiled)
+        code = compile_aside(kernel.source, compiled)
     except CompileError as error:
         raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
     params = {
@@ -134,11 +134,11 @@ def launch_kernel(
 
 
 def _lower_gpu_kernel(
-    ctx, *operands, results, name: str, code: str, grid: int, block: int, shared_bytes: int
+    ctx, *operands, results, name: str, code: KernelCode, grid: int, block: int, shared_bytes: int
 ):
     one = np.int32(1)
     return typed_call(
-        GPU_KERNEL, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
+        GPU_KERNEL, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code.text(),
         grid_x=np.int32(grid), grid_y=one, grid_z=one,
         block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(shared_bytes),
     )  # fmt: skip
