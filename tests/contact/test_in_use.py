@@ -11,8 +11,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.contact.problem.assemble import Assembly
-from rbjax.contact.problem.in_use import InUse, wrenches_in_use
-from rbjax.contact.problem.problem import Problem
+from rbjax.contact.problem.in_use import wrenches_in_use
+from rbjax.contact.problem.problem import Problem, RowsInUse
 from rbjax.contact.solver.contact_forces import rows_in_use
 from rbjax.model import State
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
@@ -53,7 +53,7 @@ def problem_at(model: rb.Model, q: Any, v: Any) -> tuple[Problem, Any]:
     return assembly.problem(jnp.zeros_like(v), None), assembly.origin
 
 
-def in_use_at(model: rb.Model, q: Any, v: Any) -> list[InUse]:
+def in_use_at(model: rb.Model, q: Any, v: Any) -> RowsInUse:
     return problem_at(model, q, v)[0].detect().in_use
 
 
@@ -73,7 +73,7 @@ def plain(model: rb.Model, q: Any, v: Any, a: Any) -> jax.Array:
     return jnp.stack(problem.tree.generalized(wrenches))
 
 
-def own(model: rb.Model, used: list[InUse], q: Any, v: Any, a: Any) -> jax.Array:
+def own(model: rb.Model, used: RowsInUse, q: Any, v: Any, a: Any) -> jax.Array:
     problem, _ = problem_at(model, q, v)
     return jnp.stack(problem.constraint_forces(jnp.asarray(a), used))
 
@@ -83,14 +83,14 @@ def test_forces_and_numbers(model: rb.Model, name: str) -> None:
     """The forces are those of all slots; a candidate that is not in use has no numbers."""
     q, v = state_of(name)
     used = jax.jit(lambda: in_use_at(model, q, v))()
-    assert sum(int(x.length) for x in used) == CASES[name]
+    assert sum(int(x.length) for x in used.contacts) == CASES[name]
     found = jax.jit(lambda u: own(model, u, q, v, A))(used)
     want = jax.jit(lambda: plain(model, q, v, A))()
     assert relative_error(found, want, floor=1.0) < F64_IDENTITY
     assert (jnp.abs(want).max() > 1.0) == (name != "none")
 
     @jax.jit
-    def numbers(used: list[InUse]) -> tuple[jax.Array, list[jax.Array]]:
+    def numbers(used: RowsInUse) -> tuple[jax.Array, list[jax.Array]]:
         problem, origin = problem_at(model, q, v)
         rows, forces = rows_in_use(problem, used, jnp.asarray(A), origin)
         twists = problem.tree.twists(jnp.asarray(A), problem.dtype)
@@ -98,7 +98,7 @@ def test_forces_and_numbers(model: rb.Model, name: str) -> None:
             wrenches_in_use(
                 of, problem.touching, twists, x, lambda of, row, f, r: jnp.stack([row.D, *r[:2]]), 3
             )[1]
-            for of, x in zip(problem.sets, used, strict=True)
+            for of, x in zip(problem.sets, used.contacts, strict=True)
         ]
         return rows, parts, jnp.stack(forces)
 
@@ -106,7 +106,7 @@ def test_forces_and_numbers(model: rb.Model, name: str) -> None:
     assert relative_error(forces, want, floor=1.0) < F64_IDENTITY
     assert (rows[:, 0] > 0).sum() == CASES[name]
     start = 0
-    for x, part in zip(used, parts, strict=True):
+    for x, part in zip(used.contacts, parts, strict=True):
         there = np.isin(np.arange(len(part)), np.asarray(x.candidates)[: int(x.length)])
         assert (part[there, 0] > 0).all() and (part[~there] == 0).all()
         assert (there == np.asarray(rows[start : start + len(part), 0] > 0)).all()
@@ -186,7 +186,8 @@ def test_without_contacts_there_is_no_force() -> None:
       <geom size="0.1" mass="1"/></body></worldbody></mujoco>"""
     limited = rb.load(text)
     q, v = np.array([0.3]), np.array([1.0])
-    assert in_use_at(limited, q, v) == []
-    push = own(limited, [], q, v, np.zeros(1))
+    used = in_use_at(limited, q, v)
+    assert used.contacts == [] and int(used.limits.length) == 1
+    push = own(limited, used, q, v, np.zeros(1))
     solved = rb.contact.solve(limited, State(jnp.asarray(q), jnp.asarray(v)))
     assert push[0] < 0 and solved.limit[0] < 0

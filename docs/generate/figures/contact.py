@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from docs.generate.figures.kinds import Figure, Number
+from docs.generate.figures.kinds import Figure, Number, Ratio
 
 GPU = "nvidia-h200"
 CORE = "cpu-contact-amd-epyc"
@@ -17,6 +17,16 @@ def _gpu() -> dict[str, Figure]:
             where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
+        of, free = (
+            Number(file, "M/s median", {"what": f"gradient, {kind}"}) for kind in ("rollout", "free")
+        )
+        out[f"gpu.contact.{robot}.gradient"] = Ratio(of, free, digits=2)
+        most = Number(file, "M/s median", {"what": "rollout"})
+        out[f"gpu.contact.{robot}.gradient.most"] = Ratio(most, free, digits=2)
+        for part in ("rollout", "gradient, rollout"):
+            name = "gradient.compile" if part.startswith("gradient") else "compile"
+            seconds = lambda row: row["lower_s"] + row["compile_s"]  # noqa: E731
+            out[f"gpu.contact.{robot}.{name}"] = Number(file, seconds, {"what": part}, digits=2)
     for robot in ("humanoid", "humanoid_feet", "go1"):
         file, where = f"gpu-warp-contact-{robot}-{GPU}", {"what": "converged", "batch": 65536}
         out[f"gpu.contact.{robot}.warp"] = Number(file, "M/s median", where, digits=2)

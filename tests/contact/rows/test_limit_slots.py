@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -77,6 +79,51 @@ def test_slots_hold_the_rows_that_act(dtype: type) -> None:
         np.testing.assert_allclose(np.array(mine), np.array(want), rtol=1e-6)
 
 
+@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_forces_are_those_of_the_rows(dtype: type, traced: bool) -> None:
+    """The joint forces by a loop over the limits that act, and their derivatives by configuration,
+    velocity, acceleration and range, against all rows one by one."""
+    compiled = mujoco.MjModel.from_xml_string(CHAIN)
+    model, data = rb.load(compiled), [state_of(name, compiled) for name in STATES]
+
+    def of_rows(limits: JointLimits, x: jax.Array) -> jax.Array:
+        out = jnp.zeros_like(x)
+        for row in limits.rows:
+            f, _ = row.response(row.along(list(x)) - row.reference)
+            for i, y in row.J.items():
+                out = out.at[i].add(y * f)
+        return out
+
+    def in_a_loop(limits: JointLimits, x: jax.Array) -> jax.Array:
+        return limits.forces(x, jax.lax.stop_gradient(limits.active().in_use))
+
+    def both(q: jax.Array, v: jax.Array, x: jax.Array, ranges: jax.Array) -> list:
+        def value(f, q, v, x, ranges):
+            own = model.replace(joints=model.joints.replace(range=ranges)) if traced else model
+            return f(limits_at(own, q, v), x)
+
+        at, along = (q, v, x, ranges), (q, v, x, jnp.ones_like(ranges))
+        found = []
+        for f in (of_rows, in_a_loop):
+            g = functools.partial(value, f)
+            back = jax.vjp(g, *at)[1](v) if f is of_rows or dtype == jnp.float64 else ()
+            found.append((jax.jvp(g, at, along), back))
+        return found
+
+    q, v = (jnp.stack([jnp.asarray(getattr(x, key), dtype) for x in data])
+            for key in ("qpos", "qvel"))  # fmt: skip
+    ranges = jnp.asarray(model.joints.range, dtype)
+    run = jax.jit(jax.vmap(both, (0, 0, 0, None)))
+    want, found = run(q, v, 3 * v, ranges)
+    assert jnp.abs(want[0][0]).max() > 1.0
+    close = {"rtol": 1e-9, "atol": 1e-9} if dtype == jnp.float64 else {"rtol": 1e-4, "atol": 1e-2}
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(want), strict=dtype == jnp.float64):
+        assert a.dtype == dtype
+        np.testing.assert_allclose(a, b, **close)
+    assert run(q[:0], v[:0], v[:0], ranges)[1][0][0].shape == (0, compiled.nv)
+
+
 @pytest.mark.parametrize("name", STATES)
 def test_acceleration_equals_mujoco(name: str) -> None:
     compiled = mujoco.MjModel.from_xml_string(CHAIN)
@@ -121,3 +168,5 @@ def test_a_robot_without_limits() -> None:
     model = rb.load(mujoco.MjModel.from_xml_string(free))
     limits = limits_at(model, *(lambda s: (s.q, s.v))(model.default_state()))
     assert limits.joints == [] and limits.rows == [] and int(limits.active().length) == 0
+    x = jnp.ones(model.nv)
+    assert not limits.forces(x, limits.active().in_use).any()
