@@ -262,13 +262,18 @@ def new_file(where: str, path: str | os.PathLike[str]) -> Path:
 
 
 def random_key(where: str, key: Any) -> None:
-    """Raise InputError unless a value is a key of `jax.random`."""
-    is_key = isinstance(key, jax.Array) and (
-        jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or (key.dtype == jnp.uint32 and key.ndim)
-    )
-    if not is_key:
+    """Raise InputError unless a value is one key of `jax.random`."""
+    typed = isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    raw = isinstance(key, jax.Array) and key.dtype == jnp.uint32 and key.ndim > 0
+    if not (typed or raw):
         raise InputError(
             f"{where}: key is {shown(key)}, expected a key of jax.random, such as jax.random.key(0)"
+        )
+    batch = key.shape if typed else key.shape[:-1]
+    if batch:
+        raise InputError(
+            f"{where}: key is a batch of keys of shape {batch}, expected one key; map over a batch "
+            "by jax.vmap"
         )
 
 

@@ -137,6 +137,11 @@ class CompliantContact(Element):
                     f"CompliantContact({name}=...): got {x}, expected numbers not below {least:g}"
                 )
 
+    @property
+    def contact_pairs(self) -> tuple[tuple[int, int], ...]:
+        """The pairs of geoms between which it acts, in ascending order."""
+        return tuple((min(pair), max(pair)) for pair in self.pairs)
+
     def shapes(self, model: Model) -> Shapes:
         n = (len(self.pairs),)
         return {

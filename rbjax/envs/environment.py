@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import flag, instance, integer, random_key
+from rbjax.arguments import flag, instance, integer, random_key, shown
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.problem import Problem
 from rbjax.display import displayed
@@ -196,6 +196,16 @@ class Environment:
         integer("unroll", "steps", steps, least=1)
         check_takes("unroll", "policy", policy, "obs", "key")
         instance("unroll", "state", state, EnvState, "the rb.envs.EnvState that reset returned")
+        sizes: Any = self.observation_size
+        if jax.tree.structure(obs) != jax.tree.structure(sizes):
+            expected = sorted(sizes) if isinstance(sizes, dict) else "an array"
+            raise InputError(
+                f"unroll: obs is {shown(obs)}, expected the observation that reset returned, "
+                f"{expected}"
+            )
+        obs = jax.tree.map(
+            lambda x, n: check_shape("unroll", "obs", x, (n,), jnp.result_type(x)), obs, sizes
+        )
 
         def all_steps(own: tuple, params: Params) -> tuple:
             data, obs, state = own
@@ -251,6 +261,9 @@ class Environment:
         Returns:
             `rb.control.Problem`.
 
+        Raises:
+            InputError: fewer than one step, or params of wrong shapes.
+
         Example:
             >>> import jax, rbjax as rb
             >>> env = rb.envs.make("cart_pole_balance")
@@ -260,6 +273,7 @@ class Environment:
             >>> plan.ctrl.shape
             (20, 1)
         """
+        integer("problem", "horizon", horizon, least=1)
         given = self._params(params)
         sample, parts = self._planned
         return task_problem(
@@ -382,9 +396,4 @@ def _data(where: str, key: Any) -> jax.Array:
     """Return the two integers of a key: threads do not take typed keys."""
     random_key(where, key)
     data = jax.random.key_data(key)
-    if data.ndim != 1:
-        raise InputError(
-            f"{where}: key is a batch of keys of shape {data.shape[:-1]}, expected one key; map "
-            "over a batch by jax.vmap"
-        )
     return data if data.shape == (2,) else jax.random.bits(key, (2,), jnp.uint32)

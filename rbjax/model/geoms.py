@@ -15,6 +15,7 @@ from rbjax.errors import InputError, listed
 from rbjax.model.hulls import Hull
 from rbjax.model.record import Record, check_least
 from rbjax.model.solver_parameters import SOLIMP, SOLREF
+from rbjax.model.topology import WORLD
 
 #: kind of a geom -> the number of entries of its size that must be positive
 SIZES = {"sphere": 1, "capsule": 1, "cylinder": 2, "ellipsoid": 3, "box": 3}
@@ -142,6 +143,11 @@ def _check_names_and_pairs(geoms: Geoms, changes: Mapping[str, Any]) -> None:
             raise InputError(
                 f"Geoms.replace({field}=...): got {shown(given)}, expected a tuple of {due} entries"
             )
+        if field == "bodies" and not all(isinstance(b, int) and b >= WORLD for b in given):
+            raise InputError(
+                f"Geoms.replace(bodies=...): got {shown(given)}, expected indices of bodies, and "
+                f"{WORLD} for the world"
+            )
         if field in ("condim", "pair_condim") and not set(given) <= {1, 3, 4, 6}:
             raise InputError(
                 f"Geoms.replace({field}=...): got {given}, expected 1, 3, 4 or 6 of each"
@@ -160,6 +166,15 @@ def _check_names_and_pairs(geoms: Geoms, changes: Mapping[str, Any]) -> None:
                 f"{len(geoms.pair_condim)} explicit ones of the file first; replace their fields, "
                 "pair_condim, pair_friction and others, too"
             )
+
+
+def check_bodies(geoms: Geoms | None, count: int) -> None:
+    """Raise InputError if a geom is on a body that a model with `count` bodies does not have."""
+    most = max(geoms.bodies, default=WORLD) if geoms is not None else WORLD
+    if most >= count:
+        raise InputError(
+            f"Model.replace(geoms=...): got a geom on body {most}, expected at most {count - 1}"
+        )
 
 
 def _check_sizes(geoms: Geoms, touching: list[int]) -> None:

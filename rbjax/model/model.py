@@ -15,15 +15,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import FLOATS
+from rbjax.arguments import FLOATS, choice
 from rbjax.errors import InputError, ModelError
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
-from rbjax.model.geoms import Geoms
+from rbjax.model.geoms import Geoms, check_bodies
 from rbjax.model.model_table import model_display
 from rbjax.model.random_state import random_coordinates
+from rbjax.model.record import (
+    CONTACT_NAMES,
+    EXECUTION,
+    PRECOMPUTED_FROM,
+    Execution,
+    cast_floats,
+    index_of,
+)
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
-from rbjax.model.record import EXECUTION, PRECOMPUTED_FROM, Execution, cast_floats, index_of
 from rbjax.model.record import Record as Record
 from rbjax.model.shared_controls import with_warning
 from rbjax.model.solver_parameters import SolverParameters
@@ -71,7 +78,7 @@ class Model(Record):
         forces: force elements (`rbjax.forces.Element`), without joint springs and actuators.
         constraints: constraints on the motion (`rbjax.constraints.Constraint`).
         geoms, tendons, solver: None if the model has none.
-        contact: static, the contact law: "mujoco", or None for no contact.
+        contact: static, the contact law: a name of `rb.contact.laws()`, or None for no contact.
         sensors: `rbjax.sensors.NamedSensor`s, read by `rb.sense`.
 
     Example:
@@ -118,6 +125,7 @@ class Model(Record):
             UnknownName: no such field. InputError: a value of another class, shape or dtype.
         """
         changes = {name: _checked_part(name, value) for name, value in changes.items()}
+        check_bodies(changes.get("geoms"), changes.get("topology", self.topology).nb)
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & PRECOMPUTED_FROM or "zeros" in how:
             how = {"constants": None, "weights": None} | how
@@ -366,6 +374,8 @@ def _checked_part(name: str, value: Any) -> Any:
     where = f"Model.replace({name}=...)"
     kind = RECORDS.get(name)
     missing = value is None and name in OPTIONAL
+    if name == "contact" and value is not None:
+        choice("contact law", value, CONTACT_NAMES)
     if kind is not None and not missing and not isinstance(value, kind):
         more = " or None" if name in OPTIONAL else ""
         raise InputError(

@@ -183,6 +183,8 @@ def index_of(kind: str, name: str | int, names: tuple[str, ...]) -> int:
     raise UnknownName(kind, name, names)
 
 
+#: the contact laws of `rb.contact.laws()`
+CONTACT_NAMES = ("mujoco", "coulomb", "impulse")
 #: the drivers of the recursions; "auto" is resolved by `rbjax.dynamics.drivers.choice`
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 

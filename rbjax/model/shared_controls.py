@@ -10,12 +10,21 @@ import numpy as np
 
 
 def with_warning(model: Any, elements: tuple) -> tuple:
-    """Warn about each force element that reads the control of an acting actuator.
+    """Warn about each force element that acts in addition to a part of the model: one that reads
+    the control of an acting actuator, or a contact of a pair for which the contact law acts too.
 
     An actuator acts if its gain or bias is not zero. The elements are returned unchanged.
     """
     acting = _acting(model.actuators)
+    touching = () if model.contact is None or model.geoms is None else model.geoms.pairs
     for one in elements:
+        if not set(touching).isdisjoint(getattr(one, "contact_pairs", ())):
+            warnings.warn(
+                f"with_forces: {type(one).__name__} acts in addition to the contact law "
+                f"{model.contact!r} of the model; if it replaces the law, remove that by "
+                "model.replace(contact=None)",
+                stacklevel=4,
+            )
         taken = getattr(one, "controls", ()) if getattr(one, "actuates", False) else ()
         twice = [model.actuator_names[k] for k in taken if 0 <= k < len(acting) and acting[k]]
         if twice:

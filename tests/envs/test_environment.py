@@ -257,6 +257,12 @@ def test_wrong_arguments():
         rb.envs.make("no_such_task")
     with pytest.raises(rb.InputError, match=r"the action of the policy has shape \(\)"):
         env.unroll(jax.random.key(0), jnp.zeros(2), state, lambda obs, key: 0.0, 2)
+    for obs, words in ((jnp.zeros(3), r"obs has shape \(3,\)"), (None, "obs is None")):
+        with pytest.raises(rb.InputError, match=words):
+            env.unroll(jax.random.key(0), obs, state, lambda obs, key: jnp.zeros(1), 2)
+    for horizon in (0, 1.5, None):
+        with pytest.raises(rb.InputError, match="problem: horizon is"):
+            env.problem(horizon)
 
 
 def test_batch_on_a_mesh_of_explicit_axes():

@@ -1,15 +1,18 @@
 """`Model.replace` with a value that is not a part of a model: one sentence each."""
 
 import re
+import warnings
 
 import jax.numpy as jnp
 import pytest
 
 import rbjax as rb
-from rbjax.errors import InputError
-from rbjax.model.model import OPTIONAL, RECORDS, TUPLES
+from rbjax.errors import InputError, UnknownName
+from rbjax.model.model import CONTACT_NAMES, OPTIONAL, RECORDS, TUPLES
 
 MODEL = rb.load("cart_pole")
+BALL = """<mujoco><worldbody><geom type="plane" size="0 0 1"/><body pos="0 0 0.1"><freejoint/>
+  <geom size="0.1"/></body></worldbody></mujoco>"""
 
 
 @pytest.mark.parametrize("name", RECORDS)
@@ -28,3 +31,27 @@ def test_a_tuple_of_other_objects(name: str) -> None:
         with pytest.raises(InputError, match=re.escape(f"Model.replace({name}=...): got")):
             MODEL.replace(**{name: value})
     assert getattr(MODEL.replace(**{name: []}), name) == ()
+
+
+def test_a_contact_law_and_bodies_that_do_not_exist() -> None:
+    ball = rb.load(BALL)
+    for law in ("mojoco", "", 3, rb.contact.SoftContact()):
+        with pytest.raises(UnknownName, match="contact law"):
+            ball.replace(contact=law)
+    assert tuple(rb.contact.laws()) == CONTACT_NAMES
+    assert all(ball.replace(contact=law).contact == law for law in (*CONTACT_NAMES, None))
+    with pytest.raises(InputError, match="geom on body 7, expected at most 0"):
+        ball.replace(geoms=ball.geoms.replace(bodies=(-1, 7)))
+    for bodies in ((-2, 0), (0.5, 0), ("world", 0)):
+        with pytest.raises(InputError, match="expected indices of bodies, and -1 for the world"):
+            ball.geoms.replace(bodies=bodies)
+
+
+def test_compliant_contact_beside_a_contact_law_is_said() -> None:
+    ball = rb.load(BALL)
+    contact = rb.contact.CompliantContact.of(ball.replace(contact=None), stiffness=1e4)
+    with pytest.warns(UserWarning, match="in addition to the contact law 'mujoco'"):
+        ball.with_forces(contact)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ball.replace(contact=None).with_forces(contact)

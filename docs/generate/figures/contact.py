@@ -17,11 +17,9 @@ def _gpu() -> dict[str, Figure]:
             where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
-        of, free = (
-            Number(file, "M/s median", {"what": f"gradient, {kind}"}) for kind in ("rollout", "free")
-        )
-        out[f"gpu.contact.{robot}.gradient"] = Ratio(of, free, digits=2)
-        most = Number(file, "M/s median", {"what": "rollout"})
+        whats = "gradient, rollout", "rollout", "gradient, free"
+        gradient, most, free = (Number(file, "M/s median", {"what": what}) for what in whats)
+        out[f"gpu.contact.{robot}.gradient"] = Ratio(gradient, free, digits=2)
         out[f"gpu.contact.{robot}.gradient.most"] = Ratio(most, free, digits=2)
         for part in ("rollout", "gradient, rollout"):
             name = "gradient.compile" if part.startswith("gradient") else "compile"

@@ -263,6 +263,12 @@ def _classes() -> tuple[type, type, type]:
         def step(self, actions: Any) -> tuple:
             if self.state is None:
                 raise InputError("step: no episodes, expected a call of reset before")
+            due = self.num_envs, self.environment.action_size
+            if np.shape(actions) != due:
+                raise InputError(
+                    f"step: actions has shape {np.shape(actions)}, expected {due}, one row an "
+                    "environment"
+                )
             self._key, self.state, self._done, last, result = self._step(
                 self._key, self.state, np.asarray(actions), self._done, self.params
             )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from rbjax.arguments import shown
 from rbjax.envs.adapters.gymnasium import to_gymnasium, to_gymnasium_vector
 from rbjax.envs.registry import make, tasks
+from rbjax.errors import InputError
 from rbjax.optional import require
 
 
@@ -50,6 +52,7 @@ def register_gymnasium() -> list[str]:
 
 def make_one(task: str, render_mode: str | None = None, **options: Any) -> Any:
     """Make the `gymnasium.Env` of a task. `render_mode` is None: there is no picture."""
+    _check_render_mode(render_mode)
     return to_gymnasium(make(task, **options))
 
 
@@ -58,4 +61,13 @@ def make_batch(
     **options: Any,
 ) -> Any:  # fmt: skip
     """Make the `gymnasium.vector.VectorEnv` of a task."""
+    _check_render_mode(render_mode)
     return to_gymnasium_vector(make(task, **options), num_envs, autoreset=autoreset)
+
+
+def _check_render_mode(mode: Any) -> None:
+    if mode is not None:
+        raise InputError(
+            f"gymnasium.make: render_mode is {shown(mode)}, expected None; show episodes of a "
+            "policy by `rbjax play`, or by rb.plotting"
+        )

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.envs.adapters.arguments import check_environment
 from rbjax.envs.adapters.gymnasium import finite
 from rbjax.envs.environment import Environment
@@ -137,15 +138,21 @@ def _classes() -> tuple[type, type]:
         def num_actions(self) -> int:
             return self.environment.action_size
 
+        def _own(self, where: str, params: GymnaxParams | None) -> Params:
+            given = self.default_params if params is None else params
+            expected = "GymnaxParams, such as env.default_params"
+            instance(where, "params", given, GymnaxParams, expected)
+            return given.params
+
         def reset_env(self, key: jax.Array, params: GymnaxParams) -> tuple[Any, EnvState]:
-            return self.environment.reset(key, params.params)
+            return self.environment.reset(key, self._own("reset", params))
 
         def step_env(
             self, key: jax.Array, state: EnvState, action: Any, params: GymnaxParams
         ) -> tuple:
             action = jnp.reshape(action, (self.num_actions,))
             obs, state, reward, _, info = self.environment.step_once(
-                key, state, action, params.params
+                key, state, action, self._own("step", params)
             )
             obs, state = self._apply_transition_gradient_policy(finite(obs, info["failed"]), state)
             terminated = info["terminated"]
@@ -173,16 +180,14 @@ def _classes() -> tuple[type, type]:
         """The interface that rejax 0.1 expects."""
 
         def reset(self, key: jax.Array, params: GymnaxParams | None = None) -> tuple:
-            given = self.default_params if params is None else params
-            obs, state = self.environment.reset(key, given.params)
+            obs, state = self.environment.reset(key, self._own("reset", params))
             return self._policy(obs), state
 
         def step(
             self, key: jax.Array, state: EnvState, action: Any, params: GymnaxParams | None = None
         ) -> tuple:
-            given = self.default_params if params is None else params
-            action = jnp.reshape(action, (self.num_actions,))
-            obs, state, reward, done, info = self.environment.step(key, state, action, given.params)
+            action, given = jnp.reshape(action, (self.num_actions,)), self._own("step", params)
+            obs, state, reward, done, info = self.environment.step(key, state, action, given)
             return self._policy(obs), state, reward, done, info
 
         def observation_space(self, params: GymnaxParams | None = None) -> Any:

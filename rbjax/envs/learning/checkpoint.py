@@ -100,8 +100,9 @@ def save_policy(
             f"save_policy: the policy's network is {kind}, expected a Policy with a network of "
             "rb.envs.learning.network"
         )
-    if options is not None and not isinstance(options, Mapping):
-        raise InputError(f"save_policy: options is {shown(options)}, expected a dict of options")
+    for name, given in (("options", options), ("settings", settings)):
+        if given is not None and not isinstance(given, Mapping):
+            raise InputError(f"save_policy: {name} is {shown(given)}, expected a dict of {name}")
     task_function(task, options or {})  # else load_policy could not make the environment
     folder = _folder("save_policy", path)
     if folder.is_file():

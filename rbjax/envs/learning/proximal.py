@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, integer, real_number
+from rbjax.arguments import choice, integer, real_number, shown
 from rbjax.envs.adapters import to_brax, wrap_brax
 from rbjax.envs.learning.brax_networks import convert_critic, convert_policy
 from rbjax.envs.learning.checks import check_discount, check_hidden, check_training
@@ -89,7 +89,8 @@ def ppo(
         seconds: limit of time, after which the training ends with the next report; None for none.
         params: parameters of the environment for the whole training; None for
             `env.default_params`. Brax does not apply `Task.curriculum`.
-        restore: Brax' parameters of an earlier training, to continue from; None for none.
+        restore: Brax' parameters of an earlier training, to continue from, or the dict that `keep`
+            was given; None for none.
         keep: function that is given {"parameters": Brax' parameters} before each report.
         settings: further arguments of `brax.training.agents.ppo.train.train`, such as
             `unroll_length`, `num_updates_per_batch`, `learning_rate`, `entropy_cost`,
@@ -132,6 +133,13 @@ def ppo(
         raise InputError(
             f"ppo: batch_size * num_minibatches is {batch}, expected a multiple of num_envs, "
             f"{num_envs}"
+        )
+    if isinstance(restore, Mapping) and "parameters" in restore:
+        restore = restore["parameters"]
+    if restore is not None and not (isinstance(restore, tuple | list) and len(restore) == 3):
+        raise InputError(
+            f"ppo: restore is {shown(restore)}, expected the three parameters of Brax (statistics, "
+            "policy, value), or the dict that keep= was given"
         )
     brax_env = to_brax(env, params)
     make_ppo_networks = require("ppo", "brax.training.agents.ppo.networks").make_ppo_networks

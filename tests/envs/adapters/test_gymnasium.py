@@ -216,6 +216,19 @@ def test_wrong_arguments_are_told(env):
         adapters.to_gymnasium_vector(env, 0)
     with pytest.raises(UnknownName, match="next_step"):
         adapters.to_gymnasium_vector(env, 2, autoreset="later")
+    batch = adapters.to_gymnasium_vector(env, 2)
+    batch.reset(seed=0)
+    for actions in (np.zeros((3, 1)), np.zeros(2), 0.0):
+        with pytest.raises(InputError, match=r"actions has shape .* expected \(2, 1\)"):
+            batch.step(actions)
+
+
+@ADVICE
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_a_picture_is_refused(make):
+    adapters.register_gymnasium()
+    with pytest.raises(InputError, match="render_mode is 'rgb_array', expected None"):
+        make("rbjax/cart_pole_balance-v0", render_mode="rgb_array")
 
 
 def test_the_classes_are_those_of_gymnasium(env):

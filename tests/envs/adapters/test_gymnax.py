@@ -127,3 +127,6 @@ def test_wrong_arguments_are_told(env):
     for make in (adapters.to_gymnax, adapters.to_rejax):
         with pytest.raises(InputError, match=r"expected an rb\.envs\.Environment"):
             make(env.task)
+        made = make(env)
+        with pytest.raises(InputError, match=r"params is .* expected GymnaxParams"):
+            made.reset(jax.random.key(0), env.default_params)

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -34,7 +35,12 @@ HIDDEN = [((0,), "hidden[0] is 0"), ((2.5,), "hidden[0] is 2.5"), (4, "hidden is
 STD = [(x, "std is") for x in (0.0, -1.0, np.nan, "fast")]
 COMMON: dict[str, list[tuple[Any, str]]] = {
     "env": [(x, "expected an rb.envs.Environment") for x in (None, "pole", ENV.task)],
-    "key": [(x, "key of jax.random") for x in (None, 3, jnp.zeros(3))],
+    "key": [
+        *((x, "key of jax.random") for x in (None, 3, jnp.zeros(3))),
+        *((jax.random.wrap_key_data(jnp.zeros(x, jnp.uint32)), "a batch of keys of shape (2,)")
+          for x in ((2, 2),)),
+        (jnp.zeros((2, 2), jnp.uint32), "a batch of keys of shape (2,)"),
+    ],
     "policy": [
         (3.0, "policy is float"), (network(KEY, (4, 3)), "shape"),
         (network(KEY, (3, 1)), "fails for an observation"), (lambda o: o[:1], "no floating"),
@@ -195,6 +201,7 @@ def test_wrong_paths_and_tasks(saved: Path, tmp_path: Path) -> None:
         ((tmp_path, policy, None), "known names"),
         ((tmp_path, policy, TASK, {"sparce": True}), "did you mean 'sparse'"),
         ((tmp_path, policy, TASK, 3), "options is 3"),
+        ((tmp_path, policy, TASK, {}, [1]), "settings is"),
         ((tmp_path, policy, TASK, {"sparse": environment}), "expected True or False"),
         ((tmp_path, policy, "walker_run", {"speed": environment}), "not plain data"),
     ):

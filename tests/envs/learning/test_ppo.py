@@ -41,6 +41,8 @@ def test_the_policy_and_the_critic_are_those_of_brax(caplog):
             report=lambda steps, figures, policy: seen.append((steps, figures, policy)),
             keep=kept.update,
         )  # fmt: skip
+        again = ppo(env, KEY, reports=1, params=params, restore=kept, **SMALL | {"steps": 1})
+        assert jnp.isfinite(again.rewards).all()
         sizes = {"state": (2,), "privileged_state": (4,)}
         made = networks.make_ppo_networks(
             sizes, 1, running_statistics.normalize, (8, 4), (8,), value_obs_key="privileged_state"
@@ -79,6 +81,7 @@ def test_bad_input():
         ({"learning_rate": np.nan}, "learning_rate is"), ({"devices": 1000}, "devices is 1000"),
         ({"num_timesteps": 5}, "unknown setting"), ({"seed": 5}, "unknown setting"),
         ({"num_minibatches": 0}, "num_minibatches is"),
+        *(({"restore": x}, "restore is") for x in (3, {"a": 1}, (1, 2), "folder")),
     ):  # fmt: skip
         with pytest.raises(RbjaxError, match=part):
             ppo(environment(), KEY, **SMALL | changes)
