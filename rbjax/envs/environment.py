@@ -196,8 +196,9 @@ class Environment:
         integer("unroll", "steps", steps, least=1)
         check_takes("unroll", "policy", policy, "obs", "key")
         instance("unroll", "state", state, EnvState, "the rb.envs.EnvState that reset returned")
-        sizes: Any = self.observation_size
-        if jax.tree.structure(obs) != jax.tree.structure(sizes):
+        sizes = self.observation_size
+        structures: list[Any] = [jax.tree.structure(x) for x in (obs, sizes)]
+        if structures[0] != structures[1]:
             expected = sorted(sizes) if isinstance(sizes, dict) else "an array"
             raise InputError(
                 f"unroll: obs is {shown(obs)}, expected the observation that reset returned, "

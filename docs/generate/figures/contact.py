@@ -17,8 +17,8 @@ def _gpu() -> dict[str, Figure]:
             where = {"what": "mjx, 4 Newton steps" if part == "mjx" else part}
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
-        whats = "gradient, rollout", "rollout", "gradient, free"
-        gradient, most, free = (Number(file, "M/s median", {"what": what}) for what in whats)
+        columns = "gradient, rollout", "rollout", "gradient, free"
+        gradient, most, free = (Number(file, "M/s median", {"what": what}) for what in columns)
         out[f"gpu.contact.{robot}.gradient"] = Ratio(gradient, free, digits=2)
         out[f"gpu.contact.{robot}.gradient.most"] = Ratio(most, free, digits=2)
         for part in ("rollout", "gradient, rollout"):
