@@ -145,20 +145,20 @@ def typed(attributes: Any, version: Any) -> None:
         del attributes["mhlo.backend_config"]
 
 
-def wrap_lowering(wrapped: Callable[[Callable], Callable]) -> bool:
-    """Replace JAX's function that lowers a program to a module by `wrapped` of it. Return False if
+def wrap_lowering(wrapper: Callable[[Callable], Callable]) -> bool:
+    """Replace JAX's function f that lowers a program to a module by wrapper(f). Return False if
     this JAX has no such function."""
     try:
         from jax._src.interpreters import mlir
 
-        mlir.lower_jaxpr_to_module = wrapped(mlir.lower_jaxpr_to_module)
+        mlir.lower_jaxpr_to_module = wrapper(mlir.lower_jaxpr_to_module)
     except (ImportError, AttributeError):
         return False
     return True
 
 
-def replace_kernel_data(module: Any, codes: dict[str, str]) -> None:
-    """Replace placeholders in the launches of kernels of a module by their codes."""
+def replace_kernel_data(module: Any, ptx: dict[str, str]) -> None:
+    """Replace placeholders in the launches of kernels of a module. ptx: placeholder -> PTX."""
     from jax.interpreters import mlir
 
     ir = mlir.ir
@@ -170,7 +170,7 @@ def replace_kernel_data(module: Any, codes: dict[str, str]) -> None:
             if target == GPU_KERNEL and name in op.attributes:
                 config = ir.DictAttr(op.attributes[name])
                 given = {x.name: x.attr for x in (config[k] for k in range(len(config)))}
-                code = codes.get(ir.StringAttr(given["kernel_data"]).value)
+                code = ptx.get(ir.StringAttr(given["kernel_data"]).value)
                 if code is not None:
                     given["kernel_data"] = ir.StringAttr.get(code)
                     op.attributes[name] = ir.DictAttr.get(given)

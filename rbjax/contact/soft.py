@@ -87,9 +87,9 @@ def contact_acceleration(
     def solved(*at):
         problem, found = solved_at(*at)
         # a derivative that saves these values does not solve the problem again
-        change = linear_solver(problem, found)
+        solve_linear = linear_solver(problem, found)
         values = tuple(checkpoint_name(x, "acceleration") for x in results(problem, found))
-        return values, [change], problem.in_use
+        return values, [solve_linear], problem.in_use
 
     def residual(changed, q, v, tau, a, used):
         model, f_ext, *rest = rebuilt(changed)

@@ -143,10 +143,10 @@ def _check_names_and_pairs(geoms: Geoms, changes: Mapping[str, Any]) -> None:
             raise InputError(
                 f"Geoms.replace({field}=...): got {shown(given)}, expected a tuple of {due} entries"
             )
-        if field == "bodies" and not all(isinstance(b, int) and b >= WORLD for b in given):
+        if field == "bodies" and not all(type(b) is int and b >= WORLD for b in given):
             raise InputError(
-                f"Geoms.replace(bodies=...): got {shown(given)}, expected indices of bodies, and "
-                f"{WORLD} for the world"
+                f"Geoms.replace(bodies=...): got {shown(given)}, expected indices of bodies as "
+                f"integers of Python, and {WORLD} for the world"
             )
         if field in ("condim", "pair_condim") and not set(given) <= {1, 3, 4, 6}:
             raise InputError(
@@ -170,10 +170,11 @@ def _check_names_and_pairs(geoms: Geoms, changes: Mapping[str, Any]) -> None:
 
 def check_bodies(geoms: Geoms | None, count: int) -> None:
     """Raise InputError if a geom is on a body that a model with `count` bodies does not have."""
-    most = max(geoms.bodies, default=WORLD) if geoms is not None else WORLD
-    if most >= count:
+    largest = max(geoms.bodies, default=WORLD) if geoms is not None else WORLD
+    if largest >= count:
         raise InputError(
-            f"Model.replace(geoms=...): got a geom on body {most}, expected at most {count - 1}"
+            f"Model.replace(geoms=...): got a geom on body {largest}, expected the {WORLD} of the "
+            f"world, or the index of one of {count} bodies"
         )
 
 

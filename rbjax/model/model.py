@@ -78,7 +78,8 @@ class Model(Record):
         forces: force elements (`rbjax.forces.Element`), without joint springs and actuators.
         constraints: constraints on the motion (`rbjax.constraints.Constraint`).
         geoms, tendons, solver: None if the model has none.
-        contact: static, the contact law: a name of `rb.contact.laws()`, or None for no contact.
+        contact: static, the contact law: a name of `rb.contact.laws()`, a law with arguments, or
+            None for no contact.
         sensors: `rbjax.sensors.NamedSensor`s, read by `rb.sense`.
 
     Example:
@@ -374,7 +375,7 @@ def _checked_part(name: str, value: Any) -> Any:
     where = f"Model.replace({name}=...)"
     kind = RECORDS.get(name)
     missing = value is None and name in OPTIONAL
-    if name == "contact" and value is not None:
+    if name == "contact" and value is not None and not callable(getattr(value, "solve", None)):
         choice("contact law", value, CONTACT_NAMES)
     if kind is not None and not missing and not isinstance(value, kind):
         more = " or None" if name in OPTIONAL else ""

@@ -21,7 +21,7 @@ def with_warning(model: Any, elements: tuple) -> tuple:
         if not set(touching).isdisjoint(getattr(one, "contact_pairs", ())):
             warnings.warn(
                 f"with_forces: {type(one).__name__} acts in addition to the contact law "
-                f"{model.contact!r} of the model; if it replaces the law, remove that by "
+                f"{model.contact!r} of the model; if it replaces the law, disable that with "
                 "model.replace(contact=None)",
                 stacklevel=4,
             )

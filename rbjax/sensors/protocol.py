@@ -114,7 +114,7 @@ def sensor_of(name: str) -> Sensor:
 
     Raises:
         UnknownName: no registered kind has this name.
-        InputError: the kind needs more than a place, as "touch" the volume of its site.
+        InputError: the kind needs further arguments, such as the volume of "touch".
 
     Example:
         >>> import rbjax as rb

@@ -11,4 +11,3 @@ from rbjax.compiler.jax import kernel_code
 def own_kernel_codes(monkeypatch):
     """Each test compiles its kernels, since some have a stand-in for NVRTC."""
     monkeypatch.setattr(kernel_code, "_codes", weakref.WeakValueDictionary())
-    monkeypatch.setattr(kernel_code, "_rejected", {})

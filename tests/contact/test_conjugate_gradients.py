@@ -84,19 +84,22 @@ def test_other_cones_equal_mujoco(cone, dim, dtype):
 
 
 def problem_of(cone: str, turn: float):
-    """Return a number that depends on the acceleration as a function of velocity and friction, an
-    argument, and a direction."""
+    """Return a number that depends on the acceleration as a function of the angles of the arms, the
+    velocity and friction, an argument, and a direction."""
     compiled = arms_of(cone, 3)
     model, data = rb.load(compiled), state_of(compiled, turn)
-    q, r = jnp.asarray(data.qpos), np.random.default_rng(1)
-    weights, along = (jnp.asarray(r.normal(size=n)) for n in (compiled.nv, compiled.nv + 1))
+    r = np.random.default_rng(1)
+    weights, along = (jnp.asarray(r.normal(size=n)) for n in (compiled.nv, 3 + compiled.nv + 1))
+    base = jnp.asarray(data.qpos[:7])
 
     def scalar(x):
+        angles, v, friction = x[:3], x[3:-1], x[-1]
         geoms = model.geoms
-        geoms = geoms.replace(friction=jnp.asarray(geoms.friction) * x[-1])
-        return weights @ rb.acceleration(model.replace(geoms=geoms), rb.State(q, x[:-1]))
+        geoms = geoms.replace(friction=jnp.asarray(geoms.friction) * friction)
+        state = rb.State(jnp.concatenate([base, angles]), v)
+        return weights @ rb.acceleration(model.replace(geoms=geoms), state)
 
-    return scalar, jnp.asarray([*data.qvel, 1.0]), along
+    return scalar, jnp.asarray([*data.qpos[7:], *data.qvel, 1.0]), along
 
 
 def test_derivative_inside_a_tree_equals_differences():

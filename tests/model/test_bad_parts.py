@@ -35,15 +35,17 @@ def test_a_tuple_of_other_objects(name: str) -> None:
 
 def test_a_contact_law_and_bodies_that_do_not_exist() -> None:
     ball = rb.load(BALL)
-    for law in ("mojoco", "", 3, rb.contact.SoftContact()):
+    for law in ("mojoco", "", 3, ["mujoco"]):
         with pytest.raises(UnknownName, match="contact law"):
             ball.replace(contact=law)
     assert tuple(rb.contact.laws()) == CONTACT_NAMES
     assert all(ball.replace(contact=law).contact == law for law in (*CONTACT_NAMES, None))
-    with pytest.raises(InputError, match="geom on body 7, expected at most 0"):
+    law = rb.contact.SoftContact(iterations=5)
+    assert rb.acceleration(ball.replace(contact=law), ball.default_state()).shape == (6,)
+    with pytest.raises(InputError, match="geom on body 7, expected the -1 of the world"):
         ball.replace(geoms=ball.geoms.replace(bodies=(-1, 7)))
-    for bodies in ((-2, 0), (0.5, 0), ("world", 0)):
-        with pytest.raises(InputError, match="expected indices of bodies, and -1 for the world"):
+    for bodies in ((-2, 0), (0.5, 0), ("world", 0), (True, 0)):
+        with pytest.raises(InputError, match=r"indices of bodies as .* and -1 for the world"):
             ball.geoms.replace(bodies=bodies)
 
 

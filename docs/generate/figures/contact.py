@@ -9,6 +9,10 @@ CORE = "cpu-contact-amd-epyc"
 MAP = "contact-map-amd-epyc"
 
 
+def _seconds(row: dict) -> float:
+    return row["lower_s"] + row["compile_s"]
+
+
 def _gpu() -> dict[str, Figure]:
     out: dict[str, Figure] = {}
     for robot in ("humanoid", "humanoid_feet", "go1", "g1"):
@@ -18,13 +22,12 @@ def _gpu() -> dict[str, Figure]:
             digits = 3 if part == "free" else 2
             out[f"gpu.contact.{robot}.{part}"] = Number(file, "M/s median", where, digits=digits)
         columns = "gradient, rollout", "rollout", "gradient, free"
-        gradient, most, free = (Number(file, "M/s median", {"what": what}) for what in columns)
+        gradient, bound, free = (Number(file, "M/s median", {"what": what}) for what in columns)
         out[f"gpu.contact.{robot}.gradient"] = Ratio(gradient, free, digits=2)
-        out[f"gpu.contact.{robot}.gradient.most"] = Ratio(most, free, digits=2)
+        out[f"gpu.contact.{robot}.gradient.bound"] = Ratio(bound, free, digits=2)
         for part in ("rollout", "gradient, rollout"):
             name = "gradient.compile" if part.startswith("gradient") else "compile"
-            seconds = lambda row: row["lower_s"] + row["compile_s"]  # noqa: E731
-            out[f"gpu.contact.{robot}.{name}"] = Number(file, seconds, {"what": part}, digits=2)
+            out[f"gpu.contact.{robot}.{name}"] = Number(file, _seconds, {"what": part}, digits=2)
     for robot in ("humanoid", "humanoid_feet", "go1"):
         file, where = f"gpu-warp-contact-{robot}-{GPU}", {"what": "converged", "batch": 65536}
         out[f"gpu.contact.{robot}.warp"] = Number(file, "M/s median", where, digits=2)

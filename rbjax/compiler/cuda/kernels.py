@@ -210,7 +210,7 @@ def _lines(
     for array in program.builder.tables:
         constant -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if constant >= 0 else "static __device__ const")
-    # of a block of several warps, the driver may give each thread 32 registers without the 1
+    # without one block a multiprocessor the driver may limit a thread to 32 registers
     bounds = f"{WARP * warps},1" if warps > 1 else f"{WARP}"
     yield f'extern "C" __global__ void __launch_bounds__({bounds}) {name}('
     yield parameters(program, "__restrict__") + ("){" if shared.places else "){SPILL_TO_SHARED")

@@ -39,7 +39,7 @@ def fast_compile(wanted: bool = True) -> Iterator[None]:
 
 
 def compiles_fast() -> bool:
-    """Return whether kernels are compiled quickly instead of for speed."""
+    """Return whether a short compile time is preferred to fast kernels."""
     return _fast.get()
 
 

@@ -1,16 +1,15 @@
 """Compiles the kernels of a program in parallel, while JAX lowers the rest of it.
 
-NVRTC takes seconds for a long kernel, and a gradient has two. So a kernel is compiled in a thread,
-and the call that launches it is first written with a placeholder in place of the code. When JAX has
-lowered the whole program, the placeholders are replaced. If NVRTC rejects a kernel, the program is
-lowered once more, and the function of this kernel runs under XLA.
+NVRTC takes seconds for a long kernel, and a gradient has two kernels. So a kernel is compiled in a
+background thread, and the call that launches it is first written with a placeholder in place of the
+PTX. When JAX has lowered the whole program, the placeholders are replaced. If NVRTC rejects a
+kernel, the program is lowered once more, and the function of this kernel runs under XLA.
 """
 
 from __future__ import annotations
 
 import contextvars
 import functools
-import os
 import threading
 import weakref
 from collections.abc import Callable
@@ -20,18 +19,20 @@ from typing import Any
 from rbjax._jax_compat import replace_kernel_data, wrap_lowering
 from rbjax.compiler.cuda.nvrtc import CompileError, compiles_fast
 
-#: the least and the largest number of kernels that are compiled at the same time
-AT_ONCE = 2, 8
+#: the largest number of kernels that are compiled at the same time
+MAX_THREADS = 8
+#: source of a kernel, and whether it is compiled fast
+Key = tuple[str, bool]
 
 
 class KernelCode:
-    """The code of a kernel, which a thread compiles."""
+    """The PTX of a kernel, compiled in a background thread."""
 
-    def __init__(self, source: str, future: Future[str]):
-        self.source, self.future = source, future
+    def __init__(self, key: Key, future: Future[str]):
+        self.key, self.future = key, future
 
     def text(self) -> str:
-        """Return a placeholder for the program that is being lowered, or the code."""
+        """Return the PTX, or during a lowering a placeholder that is replaced at its end."""
         if _lowering.pending is None:
             return self.future.result()
         placeholder = f"rbjax kernel {id(self)}"
@@ -40,63 +41,72 @@ class KernelCode:
 
 
 class _Lowering(threading.local):
-    """The program that JAX lowers in this thread."""
+    """The program that JAX lowers in this thread.
 
-    #: placeholder -> code; None if no program is being lowered
+    pending: placeholder -> PTX; None if no program is being lowered.
+    rejected: the kernels that NVRTC has rejected in an earlier pass, with its messages.
+    """
+
     pending: dict[str, KernelCode] | None = None
+    rejected: dict[Key, str] = {}  # noqa: RUF012 (replaced, never changed)
 
 
 _lowering = _Lowering()
-#: the codes that programs need now, by source and `compiles_fast`
-_codes: weakref.WeakValueDictionary[tuple[str, bool], KernelCode] = weakref.WeakValueDictionary()
-#: the message of NVRTC for each source that it rejects
-_rejected: dict[str, str] = {}
+#: kernels to which a program refers
+_codes: weakref.WeakValueDictionary[Key, KernelCode] = weakref.WeakValueDictionary()
+_lock = threading.Lock()
 
 
 @functools.cache
-def _compilers() -> ThreadPoolExecutor:
-    least, most = AT_ONCE
-    return ThreadPoolExecutor(min(max(os.cpu_count() or 1, least), most), "rbjax-nvrtc")
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(MAX_THREADS, "rbjax-nvrtc")
 
 
-def compile_aside(source: str, compile: Callable[[], str]) -> KernelCode:
+def compile_in_background(source: str, compile: Callable[[], str]) -> KernelCode:
     """Begin to compile a kernel.
 
-    compile: function that returns the code, or raises CompileError.
+    compile: function that returns the PTX, or raises CompileError.
 
     Raises:
-        CompileError: NVRTC rejects the kernel.
+        CompileError: NVRTC has rejected the kernel when this program was lowered first.
     """
-    if source in _rejected:
-        raise CompileError(_rejected[source])
     key = source, compiles_fast()
-    code = _codes.get(key)
-    if code is None:
-        own = contextvars.copy_context()  # in which `compiles_fast` is the same
-        code = _codes[key] = KernelCode(source, _compilers().submit(own.run, compile))
-    if not _completes:  # with such a JAX only here
+    if key in _lowering.rejected:
+        raise CompileError(_lowering.rejected[key])
+    with _lock:
+        code = _codes.get(key)
+        if code is None:
+            context = contextvars.copy_context()  # the thread reads the caller's `compiles_fast`
+            code = _codes[key] = KernelCode(key, _threads().submit(context.run, compile))
+    if not LOWERING_IS_WRAPPED:
         code.future.result()
     return code
 
 
-def _completing(lower: Callable) -> Callable:
+def _with_kernels(lower: Callable) -> Callable:
     """Return the function that lowers a program and replaces the placeholders of its kernels."""
 
     @functools.wraps(lower)
-    def run(*args: Any, **named: Any) -> Any:
+    def run(*args: Any, **kwargs: Any) -> Any:
+        rejected: dict[Key, str] = {}
         while True:
-            outer, _lowering.pending = _lowering.pending, {}
+            outer = _lowering.pending, _lowering.rejected
+            _lowering.pending, _lowering.rejected = {}, rejected
             try:
-                lowered, pending = lower(*args, **named), _lowering.pending
+                lowered, pending = lower(*args, **kwargs), _lowering.pending
             finally:
-                _lowering.pending = outer
-            texts: dict[str, str] = {}
+                _lowering.pending, _lowering.rejected = outer
+            texts, before = dict[str, str](), rejected
             for placeholder, code in pending.items():
                 try:
                     texts[placeholder] = code.future.result()
                 except CompileError as error:
-                    _rejected[code.source] = str(error)
-            if len(texts) == len(pending):
+                    with _lock:
+                        _codes.pop(code.key, None)
+                    if code.key in before:  # it was launched when the program was traced
+                        raise
+                    rejected = {**rejected, code.key: str(error)}
+            if rejected is before:
                 if texts:
                     replace_kernel_data(lowered.module, texts)
                 return lowered
@@ -104,5 +114,5 @@ def _completing(lower: Callable) -> Callable:
     return run
 
 
-#: whether placeholders are replaced
-_completes = wrap_lowering(_completing)
+#: whether placeholders are replaced; otherwise kernels are compiled one after the other
+LOWERING_IS_WRAPPED = wrap_lowering(_with_kernels)

@@ -28,7 +28,7 @@ from rbjax.compiler.cuda.kernels import DRIVERS_BYTES, Kernel
 from rbjax.compiler.cuda.nvrtc import CompileError, ptx
 from rbjax.compiler.ir.program import Written, batch_first
 from rbjax.compiler.ir.statements import Unsupported
-from rbjax.compiler.jax.kernel_code import KernelCode, compile_aside
+from rbjax.compiler.jax.kernel_code import KernelCode, compile_in_background
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm.xla_handler import write_handler
 from rbjax.compiler.lower.write import write_program
@@ -114,7 +114,7 @@ def launch_kernel(
     """Launch a kernel on a GPU. results: shapes and dtypes of its results.
 
     Raises:
-        Unsupported: NVRTC rejects the kernel.
+        Unsupported: NVRTC has rejected the kernel, in the second lowering of a program.
     """
 
     def compiled() -> str:
@@ -123,7 +123,7 @@ def launch_kernel(
         return code
 
     try:
-        code = compile_aside(kernel.source, compiled)
+        code = compile_in_background(kernel.source, compiled)
     except CompileError as error:
         raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
     params = {

@@ -81,7 +81,7 @@ class Assembly:
     The origin is the last link of the first body that moves. `dt` is the step in s, None for the
     model's timestep, and `t` the time in s, which constraints read. `added` is the matrix h D +
     h^2 K of the `discrete` integrator by entry, which adds to the mass matrix; None for others.
-    `iterative`: whether conjugate gradients may solve for contacts inside a tree.
+    `iterative`: whether contacts inside a tree are left to conjugate gradients.
     """
 
     def __init__(

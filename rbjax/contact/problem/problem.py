@@ -267,8 +267,10 @@ class Problem:
         for contacts, own in zip(self.sets, used.contacts, strict=True):
             wrenches = wrenches + wrenches_in_use(contacts, self.touching, twists, own)[0]
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
-        limits = self.limits.forces(x, used.limits)
-        out, lanes = [add(f, g) for f, g in zip(out, unpack(limits), strict=True)], unpack(x)
+        lanes = unpack(x)
+        if self.limits.joints:
+            of_limits = unpack(self.limits.forces(x, used.limits))
+            out = [add(f, g) for f, g in zip(out, of_limits, strict=True)]
         for row in self.loose:
             f, _ = row.response(sub(row.along(lanes), row.reference))
             out = add_row(out, row, f)

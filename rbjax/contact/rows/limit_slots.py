@@ -50,7 +50,7 @@ class JointLimits(NamedTuple):
 
     @property
     def _tables(self) -> LimitTables:
-        """The numbers of all limits, the lower limits of all joints first."""
+        """The parameters of all limits, the lower limits of all joints first."""
         own, dtype, n = self.model.solver, self.q.dtype, len(self.joints)
         assert own is not None
         every, side = np.array(self.joints * 2, int), np.repeat([0, 1], n)
@@ -62,7 +62,7 @@ class JointLimits(NamedTuple):
 
     @property
     def _places(self) -> np.ndarray:
-        """The coordinate of each limit."""
+        """The index in q of each limit."""
         return np.array(self.model.topology.joint_q, np.int32)[self.joints * 2]
 
     @property
@@ -121,7 +121,7 @@ class JointLimits(NamedTuple):
 
 
 class LimitTables(NamedTuple):
-    """The numbers of limits, one row a limit; or of one limit, as lanes.
+    """Parameters of limits: arrays with one row a limit, or lanes of one limit.
 
     Fields:
         sign: direction, 1 for a lower limit or -1.
@@ -189,6 +189,7 @@ class LimitSlots(NamedTuple):
 
     @property
     def in_use(self) -> LimitsInUse:
+        """The limits that act, without their rows."""
         return LimitsInUse(self.length, self.which)
 
     def fold(self, step: Callable[[Any, Any], Any], carry: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Tables of parameters in a loop over their rows: constants of the program, or operands of it."""
+"""Tables of parameters that a loop reads row by row: constants, or operands if they are traced."""
 
 from __future__ import annotations
 
@@ -14,18 +14,25 @@ def entry(table: Any, index: Any) -> Any:
     """Return a row of a table, without a gather if the table or the index is constant."""
     if not isinstance(table, np.ndarray):
         return table[index]
-    if _uniform(table):
+    if (table == table[:1]).all():
         return table[0]
     return table[index] if isinstance(index, int) else jnp.asarray(table)[index]
 
 
 class SplitTables(NamedTuple):
-    """A pytree split into JAX arrays, which may be traced, and constant leaves."""
+    """A pytree split into JAX arrays, which may be traced, and constant leaves.
+
+    Fields:
+        arrays: the JAX arrays.
+        leaves: all leaves.
+        where: the positions of the arrays among the leaves.
+        treedef: the structure of the pytree.
+    """
 
     arrays: list[jax.Array]
     leaves: list[Any]
     where: list[int]
-    tree: Any
+    treedef: Any
 
     @classmethod
     def of(cls, tree: Any) -> SplitTables:
@@ -34,15 +41,12 @@ class SplitTables(NamedTuple):
         return cls([leaves[i] for i in where], leaves, where, treedef)
 
     def filled(self, rows: Sequence[Any], index: Any) -> Any:
-        """Return the pytree with rows for its arrays. Constant tables have the row of an index."""
+        """Return the pytree with the given rows in place of its arrays. If `index` is not None,
+        constant tables are replaced by this row."""
         out = list(self.leaves)
         for i, x in enumerate(out):
             if index is not None and isinstance(x, np.ndarray):
-                out[i] = np.asarray(entry(x, index))[None] if _uniform(x) else entry(x, index)[None]
+                out[i] = entry(x, index)[None]
         for i, x in zip(self.where, rows, strict=True):
             out[i] = x
-        return jax.tree.unflatten(self.tree, out)
-
-
-def _uniform(table: np.ndarray) -> bool:
-    return bool((table == table[:1]).all())
+        return jax.tree.unflatten(self.treedef, out)

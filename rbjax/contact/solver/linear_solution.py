@@ -1,11 +1,14 @@
 """Solution of H x = b with the Hessian H at a solution of the contact problem, for derivatives.
 
-It reads values that a derivative saves: the factors of H_0, and the contacts between two links of a
-tree, which are not in H_0. With such contacts conjugate gradients solve the equation, as in a step
-of Newton's method. A second derivative in forward mode follows from
+    H = H_0 + C,    C = J^T s'' J
 
-    (H_0 + C) x = b,    C = J^T s'' J,
-    dx = r - H^-1 C r,    r = d[H_0^-1 (b - C x)],    x held constant
+J is the Jacobian of the contacts between two links of a tree, and s'' the Hessians of their costs.
+H_0 is the Hessian without them, of which the factors are known. If there are such contacts,
+conjugate gradients solve the equation, as in a step of Newton's method. Factors, contacts and
+residuals are named, so that a reverse derivative saves them. A second derivative, in forward mode,
+follows from x = H_0^-1 (b - C x):
+
+    dx = r - H^-1 C r,    r = d[H_0^-1 (b - C x)] with x held constant
 """
 
 from __future__ import annotations
@@ -41,9 +44,9 @@ def linear_solver(problem: Problem, solution: Solution) -> Callable[[jax.Array],
     residuals = [x for _, x in saved]
 
     def parts(b: jax.Array, x: jax.Array) -> list[jax.Array]:
-        change = _stiffness(problem, residuals, x)
+        Cx = _stiffness(problem, residuals, x)
         solution = solve_direction(problem, factors, b, residuals).x
-        return [solution, factors.solve(b - change), change]
+        return [solution, factors.solve(b - Cx), Cx]
 
     return lambda b: _symmetric(parts, b)
 
@@ -55,12 +58,12 @@ def _saved(slots: Slots, residuals: jax.Array) -> tuple[Slots, jax.Array]:
     length, pairs, candidates, rows, residuals = (
         checkpoint_name(jnp.asarray(x), "contacts") for x in given
     )
-    places = jnp.zeros_like(found.contacts)  # which are not read
+    places = jnp.zeros_like(found.contacts)  # not read
     return slots._replace(found=Found(length, places, pairs, candidates), rows=rows), residuals
 
 
 def _stiffness(problem: Problem, residuals: Sequence[jax.Array], x: jax.Array) -> jax.Array:
-    """Compute J^T s'' J x (nv,) of the contacts between two links of a tree."""
+    """Compute C x (nv,)."""
     tree, dtype = problem.tree, problem.dtype
     twists, wrenches = tree.twists(x, dtype), jnp.zeros((len(tree.touching) + 1, 6), dtype)
     for contacts, slots, r in zip(problem.sets, problem.slots, residuals, strict=True):
@@ -83,26 +86,26 @@ def _symmetric(parts: Callable, b: jax.Array) -> jax.Array:
     """
     plain, closed_over = trace(parts, [b, b])
     n, inputs = len(closed_over), plain.inputs[:-1]
-    solved, balanced, changed = (_result(plain, k) for k in range(3))
+    solution, fixed_point, stiffness = (_result(plain, k) for k in range(3))
 
     def solve(*args: jax.Array) -> jax.Array:
-        return solved(*args, args[-1])[0]
+        return solution(*args, args[-1])[0]  # x is not read
 
     def rule(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
         x = solve(*primals)
-        _, r = jvp_of(lambda *args: balanced(*args, x)[0], primals, tangents)
+        _, r = jvp_of(lambda *args: fixed_point(*args, x)[0], primals, tangents)
         if r is None:
             return x, jnp.zeros_like(x)
-        return x, r - ruled(*primals[:n], changed(*primals, r)[0])
+        return x, r - with_rule(*primals[:n], stiffness(*primals, r)[0])
 
-    ruled = with_jvp(solve, rule)
+    with_rule = with_jvp(solve, rule)
 
     def vjp(moving: Moving, args: Any, _: Any, bars: Any) -> list[jax.Array]:
-        if any(moving[:n]):  # a second derivative in reverse mode, which the loops lack
-            return run(solved.transposed((*moving, False), (True,)), [*args, args[-1], *bars])
+        if any(moving[:n]):  # a second derivative in reverse mode: JAX cannot transpose the loops
+            return run(solution.transposed((*moving, False), (True,)), [*args, args[-1], *bars])
         return run(program, [*args[:n], *bars])
 
-    program = replace(traced(lambda *args: [ruled(*args)], *inputs), vjp=vjp)
+    program = replace(traced(lambda *args: [with_rule(*args)], *inputs), vjp=vjp)
     return run(program, [*closed_over, b])[0]
 
 
