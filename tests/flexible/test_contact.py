@@ -41,7 +41,7 @@ def trees():
     model = scene()
     state = random_state(model)
     q, v = state.q, state.v
-    fast, dense = Assembly(model, q, v, values=True), Assembly(model, q, v, values=True)
+    fast, dense = Assembly(model, q, v, iterative=True), Assembly(model, q, v, iterative=True)
     assert fast._articulated
     dense.__dict__["_articulated"] = False
     return model, q, fast, dense
