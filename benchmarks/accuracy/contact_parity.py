@@ -30,7 +30,8 @@ from benchmarks.cases.standing import on_floor, random_controls
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.contact.problem.assemble import Assembly
 from rbjax.contact.soft import SoftContact, detected
-from rbjax.contact.solver.newton import factorize_at, solve
+from rbjax.contact.solver.linear_solution import linear_solver
+from rbjax.contact.solver.newton import solve
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import pack
 from rbjax.motion.field import Field
@@ -73,10 +74,10 @@ def program(model: rb.Model) -> Any:
         state = rb.State(q, v, x) if x.size else rb.State(q, v)
         tau, f_ext, _ = field.applied(0.0, state, Inputs(ctrl=u))
         problem = detected(model, q, v, tau, f_ext)
-        found, assembly = solve(problem), Assembly(model, q, v)
+        found, assembly = solve(problem), Assembly(model, q, v, iterative=True)
         forces = pack(problem.constraint_forces(found.x, problem.in_use), tau)
         left = tau + forces - assembly.inverse_dynamics(found.x, f_ext)
-        return found.x, found.x + factorize_at(problem, found).solve(left)
+        return found.x, found.x + linear_solver(problem, found)(left)
 
     return jax.jit(jax.vmap(rb.threads(one)))
 
