@@ -48,7 +48,7 @@ def linear_solver(problem: Problem, solution: Solution) -> Callable[[jax.Array],
         solution = solve_direction(problem, factors, b, residuals).x
         return [solution, factors.solve(b - Cx), Cx]
 
-    return lambda b: _symmetric(parts, b)
+    return lambda b: _self_adjoint_solution(parts, b)
 
 
 def _saved(slots: Slots, residuals: jax.Array) -> tuple[Slots, jax.Array]:
@@ -79,7 +79,7 @@ def _stiffness(problem: Problem, residuals: Sequence[jax.Array], x: jax.Array) -
     return pack(tree.generalized(wrenches), x)
 
 
-def _symmetric(parts: Callable, b: jax.Array) -> jax.Array:
+def _self_adjoint_solution(parts: Callable, b: jax.Array) -> jax.Array:
     """Compute H^-1 b as a program that is its own transpose.
 
     parts: function (b, x) -> H^-1 b, H_0^-1 (b - C x), C x.
