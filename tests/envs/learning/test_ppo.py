@@ -41,8 +41,6 @@ def test_the_policy_and_the_critic_are_those_of_brax(caplog):
             report=lambda steps, figures, policy: seen.append((steps, figures, policy)),
             keep=kept.update,
         )  # fmt: skip
-        again = ppo(env, KEY, reports=1, params=params, restore=kept, **SMALL | {"steps": 1})
-        assert jnp.isfinite(again.rewards).all()
         sizes = {"state": (2,), "privileged_state": (4,)}
         made = networks.make_ppo_networks(
             sizes, 1, running_statistics.normalize, (8, 4), (8,), value_obs_key="privileged_state"
@@ -64,6 +62,23 @@ def test_the_policy_and_the_critic_are_those_of_brax(caplog):
     assert abs(seen[1][1]["reward"] - seen[1][1]["reward/upright"]) < 1e-4
     assert seen[1][2].network.sizes == (2, 8, 4, 2)
     assert found.rewards.shape == (3,) and np.isfinite(found.rewards).all()
+
+
+@pytest.mark.slow
+def test_a_training_continues():
+    """From the parameters that `keep` was given: its first evaluation is that of the last one."""
+    with jax.enable_x64(False):
+        kept, rewards = {}, []
+        more = {"reports": 1, "report": lambda steps, figures, _: rewards.append(figures["reward"])}
+        ppo(environment(), KEY, keep=kept.update, **SMALL, **more)
+        policy = kept["parameters"][1]
+        again = {}
+        ppo(environment(), KEY, restore=kept, keep=lambda x: again.setdefault("first", x),
+            **SMALL, **more)  # fmt: skip
+    start = again["first"]["parameters"][1]
+    for a, b in zip(jax.tree.leaves(policy), jax.tree.leaves(start), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.isfinite(rewards).all()
 
 
 def test_the_defaults_fit_each_other():
