@@ -138,9 +138,9 @@ class CompliantContact(Element):
                 )
 
     @property
-    def contact_pairs(self) -> tuple[tuple[int, int], ...]:
-        """The pairs of geoms between which it acts, in ascending order."""
-        return tuple((min(pair), max(pair)) for pair in self.pairs)
+    def contact_pairs(self) -> set[frozenset[int]]:
+        """The pairs of geoms between which it acts, in no order."""
+        return {frozenset(pair) for pair in self.pairs}
 
     def shapes(self, model: Model) -> Shapes:
         n = (len(self.pairs),)

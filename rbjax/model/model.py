@@ -17,6 +17,7 @@ import numpy as np
 
 from rbjax.arguments import FLOATS, choice
 from rbjax.errors import InputError, ModelError
+from rbjax.model.acting_twice import with_warning
 from rbjax.model.cells import known_entries, with_fixed_entries
 from rbjax.model.components import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.model.geoms import Geoms, check_bodies
@@ -32,7 +33,6 @@ from rbjax.model.record import (
 )
 from rbjax.model.record import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.record import Record as Record
-from rbjax.model.shared_controls import with_warning
 from rbjax.model.solver_parameters import SolverParameters
 from rbjax.model.state import State
 from rbjax.model.tendons import Tendons

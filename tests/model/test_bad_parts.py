@@ -1,7 +1,6 @@
 """`Model.replace` with a value that is not a part of a model: one sentence each."""
 
 import re
-import warnings
 
 import jax.numpy as jnp
 import pytest
@@ -47,13 +46,3 @@ def test_a_contact_law_and_bodies_that_do_not_exist() -> None:
     for bodies in ((-2, 0), (0.5, 0), ("world", 0), (True, 0)):
         with pytest.raises(InputError, match=r"indices of bodies as .* and -1 for the world"):
             ball.geoms.replace(bodies=bodies)
-
-
-def test_compliant_contact_beside_a_contact_law_is_said() -> None:
-    ball = rb.load(BALL)
-    contact = rb.contact.CompliantContact.of(ball.replace(contact=None), stiffness=1e4)
-    with pytest.warns(UserWarning, match="in addition to the contact law 'mujoco'"):
-        ball.with_forces(contact)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ball.replace(contact=None).with_forces(contact)

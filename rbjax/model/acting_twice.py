@@ -1,4 +1,4 @@
-"""A warning about force elements that read the control of an actuator that also exerts a force."""
+"""Warnings about force elements that act in addition to a part of the model."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ def with_warning(model: Any, elements: tuple) -> tuple:
     """
     acting = _acting(model.actuators)
     touching = () if model.contact is None or model.geoms is None else model.geoms.pairs
+    of_law = {frozenset(pair) for pair in touching}
     for one in elements:
-        if not set(touching).isdisjoint(getattr(one, "contact_pairs", ())):
+        if not of_law.isdisjoint(getattr(one, "contact_pairs", ())):
             warnings.warn(
                 f"with_forces: {type(one).__name__} acts in addition to the contact law "
                 f"{model.contact!r} of the model; if it replaces the law, disable that with "
