@@ -19,11 +19,12 @@ from rbjax.compiler.cuda.c_source import Printer
 from rbjax.compiler.cuda.kernels import Kernel, kernel
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import BatchLayout, Written, batch_first
-from rbjax.compiler.jax import launch, primitive
+from rbjax.compiler.jax import launch
 from rbjax.compiler.jax.function import compile_threads
 from rbjax.compiler.lower.write import write_program
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER, many_on_host, written
+from tests.compiler.lowering import lowered
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 RNG = np.random.default_rng(0)
@@ -38,17 +39,9 @@ def f(x, w=W):
 
 
 @pytest.fixture
-def gpu(monkeypatch):
-    """A process that assumes that kernels work."""
+def gpu(gpu, monkeypatch):
+    """The same with a stand-in for NVRTC."""
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
-    monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "kernels_work", lambda: True)
-    primitive._warn.cache_clear()
-
-
-def lowered(g, *args) -> str:
-    return jax.jit(g).trace(*args).lower(lowering_platforms=("cuda",)).as_text()
 
 
 def calls(g, *args) -> int:

@@ -27,6 +27,7 @@ from rbjax.compiler.jax.garbage import PAUSED, gc_paused
 from rbjax.compiler.llvm import jit as llvm_jit
 from rbjax.compiler.llvm import xla_handler as llvm_xla
 from rbjax.compiler.lower.write import write_program
+from tests.compiler.lowering import lowered
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 X = np.random.default_rng(0).normal(size=(40, 3))
@@ -90,19 +91,6 @@ def test_machine_code_runs_without_a_folder(folder, monkeypatch):
 
 
 # ------------------------------------------------------------------- compilers and versions
-
-
-@pytest.fixture
-def gpu(monkeypatch):
-    """A process that assumes that kernels work."""
-    monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "kernels_work", lambda: True)
-    primitive._warn.cache_clear()
-
-
-def lowered(g, *args) -> str:
-    return jax.jit(g).trace(*args).lower(lowering_platforms=("cuda",)).as_text()
 
 
 @pytest.mark.parametrize("order", [0, 1])

@@ -13,23 +13,11 @@ from jax.core import ShapedArray
 
 from rbjax.compiler.cuda import nvrtc
 from rbjax.compiler.cuda.kernels import Kernel
-from rbjax.compiler.jax import kernel_code, launch, primitive
+from rbjax.compiler.jax import kernel_code, launch
 from rbjax.compiler.jax.function import compile_threads
+from tests.compiler.lowering import lowered
 
 X = np.random.default_rng(0).normal(size=(50, 3))
-
-
-@pytest.fixture
-def gpu(monkeypatch):
-    """A process that assumes that kernels work."""
-    monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(launch, "ordinal", lambda: 0)
-    monkeypatch.setattr(launch, "kernels_work", lambda: True)
-    primitive._warn.cache_clear()
-
-
-def lowered(g, *args) -> str:
-    return jax.jit(g).trace(*args).lower(lowering_platforms=("cuda",)).as_text()
 
 
 def test_kernels_of_one_program_compile_at_the_same_time(gpu, monkeypatch):

@@ -37,8 +37,7 @@ COMMON: dict[str, list[tuple[Any, str]]] = {
     "env": [(x, "expected an rb.envs.Environment") for x in (None, "pole", ENV.task)],
     "key": [
         *((x, "key of jax.random") for x in (None, 3, jnp.zeros(3))),
-        *((jax.random.wrap_key_data(jnp.zeros(x, jnp.uint32)), "a batch of keys of shape (2,)")
-          for x in ((2, 2),)),
+        (jax.random.split(KEY), "a batch of keys of shape (2,)"),
         (jnp.zeros((2, 2), jnp.uint32), "a batch of keys of shape (2,)"),
     ],
     "policy": [
