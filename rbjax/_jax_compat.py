@@ -158,22 +158,21 @@ def wrap_lowering(wrapper: Callable[[Callable], Callable]) -> bool:
 
 
 def replace_kernel_data(module: Any, ptx: dict[str, str]) -> None:
-    """Replace placeholders in the launches of kernels of a module. ptx: placeholder -> PTX."""
+    """Replace placeholders in the launches of kernels of a module, which `typed` has marked.
+    ptx: placeholder -> PTX."""
     from jax.interpreters import mlir
 
     ir = mlir.ir
 
     def visit(op: Any) -> Any:
-        if op.name == "stablehlo.custom_call":
-            target = ir.StringAttr(op.attributes["call_target_name"]).value
-            name = "backend_config" if "backend_config" in op.attributes else "mhlo.backend_config"
-            if target == GPU_KERNEL and name in op.attributes:
-                config = ir.DictAttr(op.attributes[name])
-                given = {x.name: x.attr for x in (config[k] for k in range(len(config)))}
-                code = ptx.get(ir.StringAttr(given["kernel_data"]).value)
-                if code is not None:
-                    given["kernel_data"] = ir.StringAttr.get(code)
-                    op.attributes[name] = ir.DictAttr.get(given)
+        is_call = op.name == "stablehlo.custom_call"
+        if is_call and ir.StringAttr(op.attributes["call_target_name"]).value == GPU_KERNEL:
+            config = ir.DictAttr(op.attributes["backend_config"])
+            given = {x.name: x.attr for x in (config[k] for k in range(len(config)))}
+            code = ptx.get(ir.StringAttr(given["kernel_data"]).value)
+            if code is not None:
+                given["kernel_data"] = ir.StringAttr.get(code)
+                op.attributes["backend_config"] = ir.DictAttr.get(given)
         return ir.WalkResult.ADVANCE
 
     with module.context:

@@ -160,7 +160,7 @@ def with_multi_kernel(f: Callable, kernels: Callable, max_batch: int) -> Callabl
     def call(*args: object) -> object:
         leaves, flat, structures = flatten_call(lambda *args: (f(*args), kernels(*args)), args, {})
         both, closed_over = trace(flat, leaves)
-        program, other = split_results(both)
+        program, other = split_results(both, 2)
         program = dataclasses.replace(program, multi_kernel=other, max_batch=max_batch)
         found = run(program, [*closed_over, *leaves])
         return jax.tree.unflatten(structures[0], [*found, *found])[0]

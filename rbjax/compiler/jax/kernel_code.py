@@ -96,20 +96,21 @@ def _with_kernels(lower: Callable) -> Callable:
                 lowered, pending = lower(*args, **kwargs), _lowering.pending
             finally:
                 _lowering.pending, _lowering.rejected = outer
-            texts, before = dict[str, str](), rejected
+            texts, failed = dict[str, str](), dict[Key, str]()
             for placeholder, code in pending.items():
                 try:
                     texts[placeholder] = code.future.result()
                 except CompileError as error:
                     with _lock:
                         _codes.pop(code.key, None)
-                    if code.key in before:  # it was launched when the program was traced
+                    if code.key in rejected:  # it was launched when the program was traced
                         raise
-                    rejected = {**rejected, code.key: str(error)}
-            if rejected is before:
+                    failed[code.key] = str(error)
+            if not failed:
                 if texts:
                     replace_kernel_data(lowered.module, texts)
                 return lowered
+            rejected = rejected | failed
 
     return run
 

@@ -96,15 +96,12 @@ def _divide(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable
     return Program(rest, team=program.team, saves=program.saves), jaxpr_as_fun(first), short
 
 
-def split_results(program: Program) -> tuple[Program, Program]:
-    """Split a program into the programs of the first and of the second half of its results."""
+def split_results(program: Program, count: int) -> list[Program]:
+    """Split a program into programs of `count` equally long parts of its results."""
     jaxpr = program.closed.jaxpr
-    half = len(jaxpr.outvars) // 2
-    first, second = (
-        _close(jaxpr.eqns, jaxpr.invars, outs, program)
-        for outs in (jaxpr.outvars[:half], jaxpr.outvars[half:])
-    )
-    return Program(first), Program(second)
+    n = len(jaxpr.outvars) // count
+    parts = (jaxpr.outvars[k * n : (k + 1) * n] for k in range(count))
+    return [Program(_close(jaxpr.eqns, jaxpr.invars, outs, program)) for outs in parts]
 
 
 def _close(

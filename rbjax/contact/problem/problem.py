@@ -267,10 +267,8 @@ class Problem:
         for contacts, own in zip(self.sets, used.contacts, strict=True):
             wrenches = wrenches + wrenches_in_use(contacts, self.touching, twists, own)[0]
         out = self.tree.generalized(wrenches) if self.tree.touching else [0.0] * len(x)
-        lanes = unpack(x)
-        if self.limits.joints:
-            of_limits = unpack(self.limits.forces(x, used.limits))
-            out = [add(f, g) for f, g in zip(out, of_limits, strict=True)]
+        lanes, limits = unpack(x), unpack(self.limits.forces(x, used.limits))
+        out = [add(f, g) for f, g in zip(out, limits, strict=True)]
         for row in self.loose:
             f, _ = row.response(sub(row.along(lanes), row.reference))
             out = add_row(out, row, f)

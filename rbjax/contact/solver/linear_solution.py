@@ -20,12 +20,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jax.extend.core import Var
 
-from rbjax.compiler.jax.derivatives import close, needed
 from rbjax.compiler.jax.function import trace
 from rbjax.compiler.jax.primitive import run
-from rbjax.compiler.jax.programs import Moving, Program, traced
+from rbjax.compiler.jax.programs import Moving, traced
+from rbjax.compiler.jax.uniform import split_results
 from rbjax.contact.problem.contact_rows import Found, Slots
 from rbjax.contact.problem.problem import Problem
 from rbjax.contact.solver.conjugate_gradients import products, solve_direction
@@ -86,7 +85,7 @@ def _self_adjoint_solution(parts: Callable, b: jax.Array) -> jax.Array:
     """
     plain, closed_over = trace(parts, [b, b])
     n, inputs = len(closed_over), plain.inputs[:-1]
-    solution, fixed_point, stiffness = (_result(plain, k) for k in range(3))
+    solution, fixed_point, stiffness = split_results(plain, 3)
 
     def solve(*args: jax.Array) -> jax.Array:
         return solution(*args, args[-1])[0]  # x is not read
@@ -107,13 +106,3 @@ def _self_adjoint_solution(parts: Callable, b: jax.Array) -> jax.Array:
 
     program = replace(traced(lambda *args: [with_rule(*args)], *inputs), vjp=vjp)
     return run(program, [*closed_over, b])[0]
-
-
-def _result(program: Program, k: int) -> Program:
-    """Return the program that computes one result of a program."""
-    jaxpr = program.closed.jaxpr
-    out = jaxpr.outvars[k]
-    assert isinstance(out, Var)
-    consts = dict(zip(jaxpr.constvars, program.closed.consts, strict=True))
-    eqns = needed(jaxpr.eqns, [out], jaxpr.invars)
-    return Program(close(eqns, jaxpr.invars, [out], consts))
